@@ -1,0 +1,1 @@
+"""Rotations, rigid transforms, collinearity, intersection, resection, similarity."""
