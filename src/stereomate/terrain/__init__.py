@@ -1,0 +1,1 @@
+"""Height models: sampling, voids, break-lines, cross-sections and ray intersection."""

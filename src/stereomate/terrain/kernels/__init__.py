@@ -1,0 +1,47 @@
+"""Numeric kernels on height patches.
+
+A patch is a float64 array (rows, cols), NaN where there is no height. Positions are pixel coordinates
+(col, row): (0, 0) is the outer corner of the first pixel, its centre is (0.5, 0.5).
+"""
+
+from __future__ import annotations
+
+from stereomate.terrain.kernels.rays import (
+    block_maxima,
+    first_hit,
+    first_hits,
+    occluded,
+    occluded_blockwise,
+    steepest_slope,
+)
+from stereomate.terrain.kernels.sampling import (
+    bilinear,
+    bilinear_gradient,
+    bilinear_line,
+    bilinear_points,
+    cubic,
+    cubic_gradient,
+    cubic_line,
+    cubic_points,
+    sample,
+    sample_line,
+)
+
+__all__ = [
+    "bilinear",
+    "bilinear_gradient",
+    "bilinear_line",
+    "bilinear_points",
+    "block_maxima",
+    "cubic",
+    "cubic_gradient",
+    "cubic_line",
+    "cubic_points",
+    "first_hit",
+    "first_hits",
+    "occluded",
+    "occluded_blockwise",
+    "sample",
+    "sample_line",
+    "steepest_slope",
+]
