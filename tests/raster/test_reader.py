@@ -1,0 +1,222 @@
+"""Photographs: windows, masks, formats without windows, files that are missing or cut off."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stereomate.errors import ImageError
+from stereomate.raster import open_photo
+from stereomate.raster.decoded import DECODED, DecodedCache
+from stereomate.raster.settings import Resources, configure, current
+
+SIZE = (301, 203)
+
+
+def write(path: Path, pixels: np.ndarray, driver: str = "GTiff", **options: object) -> Path:
+    rows, cols, bands = pixels.shape
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with rasterio.open(
+            path, "w", driver=driver, width=cols, height=rows, count=bands, dtype=pixels.dtype, **options
+        ) as dataset:
+            dataset.write(pixels.transpose(2, 0, 1))
+    return path
+
+
+@pytest.fixture(scope="module")
+def pixels() -> np.ndarray:
+    return np.random.default_rng(1).integers(0, 256, (SIZE[1], SIZE[0], 3), dtype=np.uint8)
+
+
+@pytest.fixture(scope="module")
+def tiled(tmp_path_factory: pytest.TempPathFactory, pixels: np.ndarray) -> Path:
+    path = tmp_path_factory.mktemp("photos") / "tiled.tif"
+    return write(path, pixels, tiled=True, blockxsize=64, blockysize=64, compress="deflate")
+
+
+@given(st.integers(-50, 350), st.integers(-50, 250), st.integers(0, 400), st.integers(0, 300))
+@settings(deadline=None, max_examples=50)
+def test_a_window_is_clamped_and_holds_the_pixels_of_the_file(tiled, pixels, col0, row0, cols, rows):
+    with open_photo(tiled) as photo:
+        part, window = photo.read_window(col0, row0, cols, rows)
+    inside_cols = [c for c in range(col0, col0 + cols) if 0 <= c < SIZE[0]]
+    inside_rows = [r for r in range(row0, row0 + rows) if 0 <= r < SIZE[1]]
+    assert (window.cols, window.rows) == (len(inside_cols), len(inside_rows)) == part.shape[1::-1]
+    assert part.flags.c_contiguous
+    if part.size:
+        assert (window.col0, window.row0) == (inside_cols[0], inside_rows[0])
+        np.testing.assert_array_equal(part, pixels[np.ix_(inside_rows, inside_cols)])
+
+
+@pytest.mark.parametrize(
+    ("options", "windowed"),
+    [
+        ({"tiled": True, "blockxsize": 64, "blockysize": 64}, True),
+        ({"blockysize": 16}, True),
+        ({"interleave": "band"}, True),
+        ({"driver": "PNG"}, False),
+    ],
+)
+def test_every_layout_gives_the_same_pixels(tmp_path, pixels, options, windowed):
+    path = write(tmp_path / "photo", pixels, **options)
+    with open_photo(path) as photo:
+        assert photo.is_windowed is windowed
+        part, window = photo.read_window(20, 30, 100, 50)
+    assert window == (20, 30, 100, 50)
+    np.testing.assert_array_equal(part, pixels[30:80, 20:120])
+
+
+def test_a_tiff_of_one_large_strip_is_decoded_once(tmp_path):
+    big = np.arange(1200 * 1000 * 3, dtype=np.uint32).astype(np.uint8).reshape(1200, 1000, 3)
+    path = write(tmp_path / "strip.tif", big, blockysize=1200, compress="deflate")
+    with open_photo(path) as photo:
+        assert not photo.is_windowed
+        part, _ = photo.read_window(900, 1100, 500, 500)
+    np.testing.assert_array_equal(part, big[1100:, 900:])
+
+
+def test_a_jpeg_is_decoded_once_for_many_threads_and_forgotten_on_close(tmp_path, pixels):
+    path = write(tmp_path / "photo.jpg", pixels, driver="JPEG")
+    held = DECODED.held_bytes
+    with open_photo(path) as photo:
+        assert not photo.is_windowed
+        with ThreadPoolExecutor(4) as pool:
+            parts = list(pool.map(lambda _: photo.read_window(0, 0, 50, 50)[0], range(16)))
+        assert DECODED.held_bytes == held + pixels.nbytes
+    assert DECODED.held_bytes == held
+    assert all((part == parts[0]).all() for part in parts)
+
+
+def test_the_cache_keeps_the_most_recent_images_within_its_limit():
+    cache = DecodedCache(lambda: 250)
+    decoded: list[str] = []
+
+    def image_of(name: str) -> np.ndarray:
+        def decode() -> np.ndarray:
+            decoded.append(name)
+            return np.zeros(100, np.uint8)
+
+        return cache.get(name, decode)
+
+    for name in ("a", "b", "a", "c", "a", "b"):
+        image_of(name)
+    assert decoded == ["a", "b", "c", "b"]
+    assert cache.held_bytes == 200
+
+
+def test_threads_read_different_windows_side_by_side(tiled, pixels):
+    windows = [(c, r, 70, 60) for c in range(0, 300, 37) for r in range(0, 200, 41)]
+    with open_photo(tiled) as photo, ThreadPoolExecutor(8) as pool:
+        parts = list(pool.map(lambda w: photo.read_window(*w), windows * 4))
+    for part, window in parts:
+        np.testing.assert_array_equal(part, pixels[window.row0 : window.row1, window.col0 : window.col1])
+
+
+def test_facts_of_a_georeferenced_raster(tmp_path):
+    path = write(
+        tmp_path / "map.tif",
+        np.ones((4, 5, 4), np.uint16),
+        crs="EPSG:32633",
+        transform=rasterio.Affine(2, 1, 500000, 1, -2, 5000000),
+        photometric="RGB",
+        alpha="YES",
+    )
+    with open_photo(path) as photo:
+        info = photo.info
+    assert (info.size, info.bands, info.dtype) == ((5, 4), 4, np.dtype("uint16"))
+    assert info.roles == ("red", "green", "blue", "alpha")
+    assert info.alpha_band == 3
+    assert info.colour_bands == (0, 1, 2)
+    assert info.has_mask
+    assert info.transform == (2, 1, 500000, 1, -2, 5000000)
+    assert "32633" in info.crs_wkt
+
+
+def test_a_photograph_without_georeference_says_so(tiled):
+    with open_photo(tiled) as photo:
+        assert photo.info.crs_wkt == ""
+        assert photo.info.transform is None
+        assert photo.nodata is None
+        valid, _ = photo.read_mask(0, 0, 10, 10)
+    assert valid.all()
+
+
+def test_valid_pixels_by_nodata_and_by_internal_mask(tmp_path):
+    pixels = np.full((40, 50, 1), 9, np.uint8)
+    pixels[:10] = 0
+    by_nodata = write(tmp_path / "nodata.tif", pixels, nodata=0)
+    by_mask = tmp_path / "mask.tif"
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True):
+        write(by_mask, pixels)
+        with rasterio.open(by_mask, "r+") as dataset:
+            dataset.write_mask(pixels[..., 0] != 0)
+    for path in (by_nodata, by_mask):
+        with open_photo(path) as photo:
+            valid, window = photo.read_mask(0, 5, 50, 40)
+            assert photo.info.has_mask is (path == by_mask)
+        assert window.rows == 35
+        np.testing.assert_array_equal(valid, pixels[5:, :, 0] != 0)
+
+
+def test_a_reader_travels_to_another_process_as_its_path(tiled, pixels):
+    with open_photo(tiled) as photo:
+        other = pickle.loads(pickle.dumps(photo))
+    with other:
+        np.testing.assert_array_equal(other.read_window(0, 0, *SIZE)[0], pixels)
+
+
+def test_a_missing_file_is_named():
+    with pytest.raises(ImageError, match=r"nowhere\.tif: no such file"):
+        open_photo("nowhere.tif")
+
+
+def test_a_url_is_no_file():
+    with pytest.raises(ImageError, match="no such file"):
+        open_photo("/vsicurl/http://localhost/x.tif")
+
+
+def test_a_file_that_is_no_raster_is_named(tmp_path):
+    path = tmp_path / "notes.tif"
+    path.write_text("not a raster")
+    with pytest.raises(ImageError, match=r"notes\.tif: cannot be read"):
+        open_photo(path)
+
+
+@pytest.mark.parametrize("driver", ["GTiff", "JPEG", "PNG"])
+def test_a_file_cut_off_in_the_middle_is_an_error_that_names_it(tmp_path, driver):
+    smooth = np.cumsum(np.random.default_rng(0).integers(-3, 4, (400, 500, 3)), axis=1) % 200
+    options = {"tiled": True, "blockxsize": 64, "blockysize": 64} if driver == "GTiff" else {}
+    path = write(tmp_path / "whole", smooth.astype(np.uint8), driver=driver, **options)
+    cut = tmp_path / "cut"
+    data = path.read_bytes()
+    cut.write_bytes(data[: len(data) * 6 // 10])
+    with open_photo(path) as photo:
+        photo.require_complete()
+    with pytest.raises(ImageError, match="cut: "), open_photo(cut) as photo:
+        photo.read_window(0, 0, 500, 400)
+    with pytest.raises(ImageError, match="cut: "), open_photo(cut) as photo:
+        photo.require_complete()
+
+
+def test_limits_come_from_the_environment_and_govern_gdal(monkeypatch):
+    before = current()
+    monkeypatch.setenv("STEREOMATE_THREADS", "3")
+    monkeypatch.setenv("STEREOMATE_MEMORY", str(256 * 1024**2))
+    try:
+        configure(Resources.from_environment())
+        assert current() == Resources(256 * 1024**2, 3)
+        assert os.environ["PROJ_NETWORK"] == "OFF"
+        assert rasterio.env.get_gdal_config("GDAL_CACHEMAX") == 32 * 1024**2
+        assert rasterio.env.get_gdal_config("GDAL_NUM_THREADS") == 1
+    finally:
+        configure(before)
