@@ -1,0 +1,1 @@
+"""Project file, workspace, pipeline of stages, resume."""

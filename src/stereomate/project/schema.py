@@ -1,0 +1,267 @@
+"""The project file as written: every key, its type and its rule.
+
+The models hold what the file says, not what it means: `stereomate.project.loader` turns them into domain
+values. Unknown keys are refused. ``docs/project_file.md`` documents every key.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from stereomate.rectify.options import (
+    Compression,
+    DataType,
+    HeightsInterpolation,
+    Hidden,
+    LawKind,
+    Masking,
+    Resampling,
+)
+
+FORMAT: Final = 1
+
+Two = Annotated[tuple[float, float], Field(strict=False)]
+Three = Annotated[tuple[float, float, float], Field(strict=False)]
+Four = Annotated[tuple[float, float, float, float], Field(strict=False)]
+Size = Annotated[tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]], Field(strict=False)]
+Names = Annotated[tuple[str, ...], Field(strict=False)]
+Bands = Annotated[tuple[int, ...], Field(strict=False)]
+Pair = Annotated[tuple[str, str], Field(strict=False)]
+Pairs = Annotated[tuple[Pair, ...], Field(strict=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+AnglesAxes = Literal["grid", "local", "tangent", "rph"]
+AngleOrder = Literal["omega-phi-kappa", "phi-omega-kappa"]
+AngleUnit = Literal["deg", "gon", "rad", "deg.mmss"]
+AdjustedIn = Literal["grid", "space"]
+Mount = Literal["top-forward", "x-forward"]
+
+
+class Section(BaseModel):
+    """A table of the project file: frozen, strict types, unknown keys refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class ProjectSection(Section):
+    """``[project]``."""
+
+    format: int = FORMAT
+    name: str = ""
+    crs: str
+    heights: str
+    tangent_origin: Three | None = None
+
+
+class DistortionSection(Section):
+    """``distortion = { ... }`` of a camera; coefficients that are not given are zero."""
+
+    model: Literal["brown", "opencv", "fisheye"]
+    convention: Literal["opencv", "agisoft", "usgs"] = "opencv"
+    direction: Literal["ideal_to_measured", "measured_to_ideal"] = "ideal_to_measured"
+    units: Literal["normalised", "mm"] = "normalised"
+    point_of_symmetry_mm: Two | None = None
+    k1: Finite = 0.0
+    k2: Finite = 0.0
+    k3: Finite = 0.0
+    k4: Finite = 0.0
+    k5: Finite = 0.0
+    k6: Finite = 0.0
+    p1: Finite = 0.0
+    p2: Finite = 0.0
+    b1: Finite = 0.0
+    b2: Finite = 0.0
+    s1: Finite = 0.0
+    s2: Finite = 0.0
+    s3: Finite = 0.0
+    s4: Finite = 0.0
+    taux: Finite = 0.0
+    tauy: Finite = 0.0
+
+    @model_validator(mode="after")
+    def _coefficients_belong_to_the_model(self) -> DistortionSection:
+        known = COEFFICIENTS[self.model]
+        for name in sorted(self.model_fields_set & ALL_COEFFICIENTS):
+            if name not in known:
+                raise ValueError(f"{name} is no coefficient of the {self.model} model: {', '.join(known)}")
+        return self
+
+
+COEFFICIENTS: Final[dict[str, tuple[str, ...]]] = {
+    "brown": ("k1", "k2", "k3", "p1", "p2", "b1", "b2"),
+    "opencv": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "taux", "tauy"),
+    "fisheye": ("k1", "k2", "k3", "k4"),
+}
+ALL_COEFFICIENTS: Final = frozenset(name for names in COEFFICIENTS.values() for name in names)
+
+
+class CameraSection(Section):
+    """``[[camera]]``."""
+
+    name: str = Field(min_length=1)
+    size_px: Size
+    principal_distance_mm: Positive | None = None
+    principal_distance_px: Positive | None = None
+    sensor_mm: Two | None = None
+    pixel_pitch_mm: Positive | Two | None = None
+    principal_point_mm: Two | None = None
+    principal_point_px: Two | None = None
+    rotation: Literal[0, 90, 180, 270] = 0
+    mirrored: bool = False
+    distortion: DistortionSection | None = None
+
+    @model_validator(mode="after")
+    def _one_of_each(self) -> CameraSection:
+        _exactly_one(self, "principal_distance_mm", "principal_distance_px")
+        _at_most_one(self, "sensor_mm", "pixel_pitch_mm")
+        _at_most_one(self, "principal_point_mm", "principal_point_px")
+        if self.principal_distance_mm is not None and self.sensor_mm is None and self.pixel_pitch_mm is None:
+            raise ValueError("sensor_mm or pixel_pitch_mm must be given with principal_distance_mm")
+        for name in ("sensor_mm", "pixel_pitch_mm"):
+            value = getattr(self, name)
+            if isinstance(value, tuple) and min(value) <= 0:
+                raise ValueError(f"{name} must be positive")
+        return self
+
+
+class OrientationSection(Section):
+    """Where orientations come from and what their numbers mean: shared by [photos] and [photos.compare]."""
+
+    orientation: str
+    orientation_format: Literal["auto", "table", "opensfm"] = "auto"
+    columns: Names | None = None
+    separator: str | None = None
+    crs: str | None = None
+    heights: str | None = None
+    angles: AnglesAxes | None = None
+    angle_order: AngleOrder = "omega-phi-kappa"
+    angle_unit: AngleUnit = "deg"
+    north: Literal["true", "grid"] = "true"
+    mount: Mount = "top-forward"
+    boresight_deg: Three | None = None
+    origin: Three | None = None
+    adjusted_in: AdjustedIn | None = None
+    grid_reference_height: Finite | None = None
+    opensfm_frame: Literal["projected", "topocentric"] | None = None
+
+    @model_validator(mode="after")
+    def _keys_that_need_each_other(self) -> OrientationSection:
+        if self.angles == "tangent" and self.origin is None:
+            raise ValueError('origin = [lon, lat, h] must be given with angles = "tangent"')
+        if self.grid_reference_height is not None and self.adjusted_in != "grid":
+            raise ValueError('grid_reference_height has a meaning only with adjusted_in = "grid"')
+        if self.angles != "rph":
+            for name in ("north", "mount", "boresight_deg"):
+                if name in self.model_fields_set:
+                    raise ValueError(f'{name} has a meaning only with angles = "rph"')
+        return self
+
+
+class PhotosSection(OrientationSection):
+    """``[photos]``."""
+
+    files: str | Names
+    exclude: Names = ()
+    camera: str | None = None
+    compare: OrientationSection | None = None
+
+
+class TerrainSection(Section):
+    """``[terrain]``."""
+
+    file: str
+    crs: str | None = None
+    heights: str | None = None
+    unit: Literal["metre", "foot", "us-survey-foot"] | None = None
+    nodata: float | None = None
+    band: Annotated[int, Field(ge=1)] = 1
+
+
+class ControlSection(Section):
+    """``[control]``."""
+
+    file: str
+    crs: str | None = None
+    heights: str | None = None
+    columns: Names | None = None
+    separator: str | None = None
+
+
+class ProductsSection(Section):
+    """``[products]``: types here, ranges in `stereomate.rectify.options.RectifyOptions`."""
+
+    gsd: float | None = None
+    law: LawKind = "logarithmic"
+    base_m: float | None = None
+    w0_m: float | None = None
+    reference_m: float | None = None
+    hidden: Hidden = "fill"
+    resampling: Resampling = "cubic"
+    heights_interpolation: HeightsInterpolation = "bilinear"
+    rotation: Literal["auto", "north-up"] | float = "auto"
+    object_height_m: float = 20.0
+    bounds: Four | None = None
+    min_base_height: float = 0.05
+    max_base_height: float = 2.0
+    compression: Compression = "zstd"
+    compression_level: int | None = None
+    quality: int = 90
+    blocksize: int = 512
+    overviews: bool = True
+    masking: Masking = "auto"
+    nodata: float | None = None
+    dtype: DataType | None = None
+    bands: Bands | None = None
+    strict: bool = False
+    # Files that the loader reads; everything above is a field of RectifyOptions.
+    area: str | None = None
+    sheets: str | None = None
+    breaklines: str | None = None
+    pairs: Pairs | None = None
+
+
+class ProjectFile(Section):
+    """The whole file."""
+
+    project: ProjectSection
+    camera: Annotated[tuple[CameraSection, ...], Field(strict=False)] = ()
+    photos: PhotosSection
+    terrain: TerrainSection | None = None
+    control: ControlSection | None = None
+    products: ProductsSection = ProductsSection()
+
+    @model_validator(mode="after")
+    def _undeclared_heights_are_one_system(self) -> ProjectFile:
+        if self.project.heights != UNDECLARED:
+            return self
+        compare = self.photos.compare
+        for name, section in (
+            ("photos", self.photos),
+            ("photos.compare", compare),
+            ("terrain", self.terrain),
+            ("control", self.control),
+        ):
+            if section is not None and section.heights not in (None, UNDECLARED):
+                raise ValueError(
+                    f'{name}.heights cannot declare a system when project.heights = "undeclared": '
+                    "all heights are then one unknown common system"
+                )
+        return self
+
+
+UNDECLARED: Final = "undeclared"
+
+
+def _exactly_one(section: Section, *names: str) -> None:
+    _at_most_one(section, *names)
+    if all(getattr(section, name) is None for name in names):
+        raise ValueError(f"{' or '.join(names)} must be given")
+
+
+def _at_most_one(section: Section, *names: str) -> None:
+    given = [name for name in names if getattr(section, name) is not None]
+    if len(given) > 1:
+        raise ValueError(f"only one of {' and '.join(given)} may be given")
