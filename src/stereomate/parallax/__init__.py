@@ -1,0 +1,1 @@
+"""Artificial parallax of a stereomate: laws, their choice, residual parallaxes and homogeneity."""

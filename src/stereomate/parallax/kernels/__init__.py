@@ -1,0 +1,31 @@
+"""Numeric kernels of the parallax laws and of the rows of a stereomate."""
+
+from __future__ import annotations
+
+from stereomate.parallax.kernels.law import (
+    LINEAR,
+    LOGARITHMIC,
+    NATURAL,
+    NONE,
+    TABLE,
+    height_of_q,
+    heights_of_q,
+    q_of_height,
+    q_of_heights,
+    slope,
+    slopes,
+)
+
+__all__ = [
+    "LINEAR",
+    "LOGARITHMIC",
+    "NATURAL",
+    "NONE",
+    "TABLE",
+    "height_of_q",
+    "heights_of_q",
+    "q_of_height",
+    "q_of_heights",
+    "slope",
+    "slopes",
+]
