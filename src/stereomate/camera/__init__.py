@@ -1,0 +1,1 @@
+"""Interior orientation: cameras, distortion, fiducial transforms."""

@@ -1,0 +1,300 @@
+"""The camera as a value: from the camera frame to pixels and back.
+
+Camera frame: x right, y up, the camera looks along -z. Photo system: millimetres, x right, y up, image plane
+at z = -c. Pixels: (column, row), (0, 0) the outer corner of the first pixel, centres at +0.5.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stereomate.camera import kernels
+from stereomate.camera.distortion import BrownDistortion, Distortion, NoDistortion
+from stereomate.camera.packing import Affine2, interior_vector, model_code, pack, pack_jacobian
+from stereomate.errors import InputError
+
+Array = NDArray[np.float64]
+
+__all__ = ["Affine2", "Camera", "pixel_from_photo_of_array"]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Interior orientation of a camera, as stored pixels see it.
+
+    Parameters
+    ----------
+    name : str
+        Name, unique in a project.
+    size_px : (int, int)
+        Columns and rows of the pixel array as stored.
+    principal_distance_mm : float
+        Principal distance c (calibrated focal length), positive.
+    principal_point_mm : (float, float)
+        Principal point of autocollimation in the photo system: the origin of the collinearity equations.
+    pixel_from_photo : 2x3 nested tuples
+        ``(column, row) = A (x_mm, y_mm, 1)``: pixel pitch, centre of the array or fiducial transform, turns
+        and mirroring of the stored pixels.
+    distortion : Distortion
+        Lens distortion about its own point of best symmetry.
+
+    Raises
+    ------
+    InputError
+        Naming the field that breaks a rule.
+    """
+
+    name: str
+    size_px: tuple[int, int]
+    principal_distance_mm: float
+    principal_point_mm: tuple[float, float]
+    pixel_from_photo: Affine2
+    distortion: Distortion = field(default_factory=NoDistortion)
+
+    def __post_init__(self) -> None:
+        if not self.name:
+            raise InputError("must not be empty", field="camera.name", value=self.name)
+        where = f"camera {self.name!r}: "
+        _check_size(self.size_px, where)
+        c = self.principal_distance_mm
+        if not (math.isfinite(c) and c > 0.0):
+            raise InputError("must be positive millimetres", field=where + "principal_distance_mm", value=c)
+        point = self.principal_point_mm
+        if np.shape(point) != (2,) or not np.isfinite(point).all():
+            raise InputError("must be two finite numbers", field=where + "principal_point_mm", value=point)
+        matrix = np.asarray(self.pixel_from_photo, dtype=np.float64)
+        if matrix.shape != (2, 3) or not np.isfinite(matrix).all():
+            raise InputError(
+                "must be two rows of three finite numbers",
+                field=where + "pixel_from_photo",
+                value=self.pixel_from_photo,
+            )
+        if not abs(np.linalg.det(matrix[:, :2])) > 1e-12 * np.abs(matrix[:, :2]).max() ** 2:
+            raise InputError(
+                "must be invertible", field=where + "pixel_from_photo", value=self.pixel_from_photo
+            )
+
+    @classmethod
+    def from_pixel_pitch(
+        cls,
+        name: str,
+        size_px: tuple[int, int],
+        principal_distance_mm: float,
+        pixel_pitch_mm: float | tuple[float, float],
+        principal_point_mm: tuple[float, float] = (0.0, 0.0),
+        distortion: Distortion | None = None,
+        rotation: int = 0,
+        mirrored: bool = False,
+    ) -> Camera:
+        """Digital camera whose photo system has its origin at the centre of the pixel array.
+
+        Parameters
+        ----------
+        size_px : (int, int)
+            Columns and rows as stored (after turning).
+        pixel_pitch_mm : float or (float, float)
+            Pitch along the stored columns and rows.
+        principal_point_mm : (float, float)
+            In the photo system of the calibration: x right, y up, from the centre.
+        rotation : {0, 90, 180, 270}
+            Degrees by which the stored array is turned clockwise against the calibration.
+        mirrored : bool
+            The stored array is mirrored left to right (before it is turned).
+        """
+        _check_size(size_px, f"camera {name!r}: ")
+        pitch = pixel_pitch_mm if isinstance(pixel_pitch_mm, tuple) else (pixel_pitch_mm, pixel_pitch_mm)
+        if not all(math.isfinite(v) and v > 0.0 for v in pitch):
+            raise InputError(
+                "must be positive millimetres", field=f"camera {name!r}: pixel_pitch_mm", value=pixel_pitch_mm
+            )
+        affine = pixel_from_photo_of_array(size_px, pitch, rotation, mirrored)
+        return cls(
+            name, size_px, principal_distance_mm, principal_point_mm, affine, distortion or NoDistortion()
+        )
+
+    @classmethod
+    def from_focal_lengths(
+        cls,
+        name: str,
+        size_px: tuple[int, int],
+        focal_px: tuple[float, float],
+        principal_point_px: tuple[float, float],
+        distortion: Distortion | None = None,
+        sensor_width_mm: float = 36.0,
+    ) -> Camera:
+        """Camera with focal lengths and principal point in pixels, as computer vision gives them.
+
+        Parameters
+        ----------
+        focal_px : (float, float)
+            fx and fy; their ratio becomes a ratio of pixel pitches.
+        principal_point_px : (float, float)
+            From the outer corner of the first pixel (add 0.5 to OpenCV's, which counts from its centre).
+        sensor_width_mm : float
+            Only gives the millimetres their size; 36 mm where nothing is known.
+        """
+        _check_size(size_px, f"camera {name!r}: ")
+        fx, fy = focal_px
+        for value in (fx, fy, sensor_width_mm):
+            if not (math.isfinite(value) and value > 0.0):
+                raise InputError(
+                    "must be positive", field=f"camera {name!r}: focal_px or sensor_width_mm", value=value
+                )
+        columns, rows = size_px
+        pitch = sensor_width_mm / columns
+        c = fx * pitch
+        pitch_y = c / fy
+        point = ((principal_point_px[0] - columns / 2) * pitch, (rows / 2 - principal_point_px[1]) * pitch_y)
+        return cls.from_pixel_pitch(name, size_px, c, (pitch, pitch_y), point, distortion)
+
+    def kernel_parameters(self) -> tuple[int, Array]:
+        """Model code and parameter array for the functions of `stereomate.camera.kernels`."""
+        return pack(self.size_px, self.parameters, self.pixel_from_photo, self.distortion)
+
+    def image_from_camera(self, points: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
+        """Pixels of points in the camera frame.
+
+        Parameters
+        ----------
+        points : array_like, shape (..., 3)
+            Camera frame, any length unit.
+
+        Returns
+        -------
+        pixels : ndarray, shape (..., 2)
+            Column and row; NaN behind the camera and beyond the monotonic range of the distortion.
+        inside : ndarray of bool, shape (...)
+            On the pixel array (0 <= column < columns), before the camera and within the monotonic range.
+        """
+        points = np.asarray(points, dtype=np.float64)
+        shape = points.shape[:-1]
+        flat = np.ascontiguousarray(points.reshape(-1, 3))
+        pixels = np.empty((flat.shape[0], 2))
+        inside = np.empty(flat.shape[0], dtype=np.bool_)
+        model, parameters = self.kernel_parameters()
+        kernels.image_from_camera_points(model, parameters, flat, pixels, inside)
+        return pixels.reshape(*shape, 2), inside.reshape(shape)
+
+    def rays_from_image(self, pixels: ArrayLike) -> Array:
+        """Directions (x, y, -1) in the camera frame of pixel positions (..., 2).
+
+        NaN beyond the monotonic range of the distortion. Positions off the pixel array are extrapolated.
+        """
+        pixels = np.asarray(pixels, dtype=np.float64)
+        flat = np.ascontiguousarray(pixels.reshape(-1, 2))
+        rays = np.empty((flat.shape[0], 3))
+        model, parameters = self.kernel_parameters()
+        kernels.rays_from_pixels(model, parameters, flat, rays)
+        return rays.reshape(*pixels.shape[:-1], 3)
+
+    def photo_from_image(self, pixels: ArrayLike) -> Array:
+        """Measured photo coordinates in mm of pixel positions (..., 2); distortion stays in them."""
+        matrix = np.array(self.pixel_from_photo)
+        inverse = np.linalg.inv(matrix[:, :2])
+        result: Array = (np.asarray(pixels, dtype=np.float64) - matrix[:, 2]) @ inverse.T
+        return result
+
+    def image_from_photo(self, photo_mm: ArrayLike) -> Array:
+        """Pixel positions of measured photo coordinates in mm (..., 2)."""
+        matrix = np.array(self.pixel_from_photo)
+        result: Array = np.asarray(photo_mm, dtype=np.float64) @ matrix[:, :2].T + matrix[:, 2]
+        return result
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the interior parameters, in the order of `parameters` and of the Jacobians."""
+        symmetry: tuple[str, ...] = ()
+        if isinstance(self.distortion, BrownDistortion) and self.distortion.symmetry_mm is not None:
+            symmetry = ("symmetry_x_mm", "symmetry_y_mm")
+        first = ("principal_distance_mm", "principal_point_x_mm", "principal_point_y_mm")
+        return (*first, *symmetry, *self.distortion.coefficient_names)
+
+    @property
+    def parameters(self) -> tuple[float, ...]:
+        """Values of the interior parameters, in the order of `parameter_names`."""
+        return interior_vector(self.principal_distance_mm, self.principal_point_mm, self.distortion)
+
+    def with_parameters(self, values: ArrayLike) -> Camera:
+        """The same camera with other interior parameters, in the order of `parameter_names`."""
+        numbers = [float(v) for v in np.asarray(values, dtype=np.float64)]
+        names = self.parameter_names
+        if len(numbers) != len(names):
+            raise InputError(
+                f"must be {len(names)} interior parameters", field=f"camera {self.name!r}", value=len(numbers)
+            )
+        changes: dict[str, object] = dict(zip(names[3:], numbers[3:], strict=True))
+        if "symmetry_x_mm" in changes:
+            changes["symmetry_mm"] = (changes.pop("symmetry_x_mm"), changes.pop("symmetry_y_mm"))
+        distortion = replace(self.distortion, **changes)  # type: ignore[arg-type]
+        return replace(
+            self,
+            principal_distance_mm=numbers[0],
+            principal_point_mm=(numbers[1], numbers[2]),
+            distortion=distortion,
+        )
+
+    def parameter_jacobian(self) -> Array:
+        """d (parameter array of the kernels) / d (`parameters`), shape (kernels.LENGTH, n)."""
+        return pack_jacobian(self.parameters, self.pixel_from_photo, self.distortion)
+
+    @property
+    def monotonic_radius(self) -> float:
+        """Radius, in units of the principal distance, up to which the distortion is monotonic.
+
+        Of the ideal point where the model distorts, of the measured point where it corrects; infinite
+        where the model has no limit.
+        """
+        return math.sqrt(float(self.kernel_parameters()[1][kernels.R2_MAX]))
+
+    def covers_whole_array(self) -> bool:
+        """Whether every pixel of the border has a ray: the distortion is monotonic up to the corners."""
+        columns, rows = self.size_px
+        t = np.linspace(0.0, 1.0, 65)
+        zero, one = np.zeros_like(t), np.ones_like(t)
+        border = np.concatenate(
+            [np.stack(edge, axis=-1) for edge in ((t, zero), (t, one), (zero, t), (one, t))]
+        ) * [columns, rows]
+        return bool(np.isfinite(self.rays_from_image(border)).all())
+
+    @property
+    def uses_model(self) -> int:
+        """Model code of the kernels."""
+        return model_code(self.distortion)
+
+
+def _check_size(size_px: tuple[int, int], where: str) -> None:
+    if np.shape(size_px) != (2,) or not all(float(v).is_integer() and v > 0 for v in size_px):
+        raise InputError(
+            "must be two positive integers (columns, rows)", field=where + "size_px", value=size_px
+        )
+
+
+def pixel_from_photo_of_array(
+    size_px: tuple[int, int], pitch_mm: tuple[float, float], rotation: int = 0, mirrored: bool = False
+) -> Affine2:
+    """Affine from the photo system (mm, origin at the centre of the array) to stored pixels.
+
+    `rotation` in degrees clockwise of the stored array against the calibration; `mirrored` left to right
+    before that.
+
+    Raises
+    ------
+    InputError
+        If `rotation` is not 0, 90, 180 or 270.
+    """
+    # Clockwise turn of an image: right (col +) becomes down (row +), down becomes left.
+    turns = {0: ((1, 0), (0, 1)), 90: ((0, -1), (1, 0)), 180: ((-1, 0), (0, -1)), 270: ((0, 1), (-1, 0))}
+    if rotation not in turns:
+        raise InputError("must be 0, 90, 180 or 270 degrees", field="rotation", value=rotation)
+    (a, b), (c, d) = turns[rotation]
+    side = -1.0 if mirrored else 1.0
+    columns, rows = size_px
+    # (right, down) of the calibration in mm is (side * x, -y).
+    return (
+        (a * side / pitch_mm[0], -b / pitch_mm[0], columns / 2.0),
+        (c * side / pitch_mm[1], -d / pitch_mm[1], rows / 2.0),
+    )

@@ -1,0 +1,243 @@
+"""From a camera as a value to the parameter array of the kernels.
+
+Everything that can be folded is folded here, once: units, signs and axes of the convention, principal
+distance, principal point, point of symmetry, affinity, pixel pitch and turns.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereomate.camera import kernels as k
+from stereomate.camera.distortion import (
+    BrownDistortion,
+    Distortion,
+    FisheyeDistortion,
+    NoDistortion,
+    OpenCVDistortion,
+    coefficients,
+)
+from stereomate.errors import InputError
+
+Affine2 = tuple[tuple[float, float, float], tuple[float, float, float]]
+Array = NDArray[np.float64]
+
+# How far beyond the corners of the pixel array the Jacobian of the distortion is searched for a fold.
+_SEARCH_MARGIN = 1.25
+
+
+def model_code(distortion: Distortion) -> int:
+    """Model code of the kernels; OpenCV models without rational, prism and tilt terms are Brown's."""
+    if isinstance(distortion, NoDistortion):
+        return k.PINHOLE
+    if isinstance(distortion, BrownDistortion):
+        return k.BROWN if distortion.direction == "ideal_to_measured" else k.BROWN_INVERSE
+    if isinstance(distortion, FisheyeDistortion):
+        return k.FISHEYE
+    return k.OPENCV if any(coefficients(distortion)[5:]) else k.BROWN
+
+
+def interior_vector(
+    principal_distance_mm: float, principal_point_mm: tuple[float, float], distortion: Distortion
+) -> tuple[float, ...]:
+    """Interior parameters in the order of ``Camera.parameter_names``."""
+    symmetry = distortion.symmetry_mm if isinstance(distortion, BrownDistortion) else None
+    return (principal_distance_mm, *principal_point_mm, *(symmetry or ()), *coefficients(distortion))
+
+
+def _brown_into(packed: Any, c: Any, values: Any, model: BrownDistortion) -> Any:
+    """Write Brown's coefficients; return the output affinity (b1, b2) that is folded elsewhere."""
+    unit = c if model.units == "mm" else 1.0
+    sign = -1.0 if model.convention == "usgs" else 1.0
+    k0, k1, k2, k3, k4, p1, p2, b1, b2 = values
+    packed[k.R0] = 1.0 + sign * k0
+    for at, value, power in ((k.K1, k1, 2), (k.K2, k2, 4), (k.K3, k3, 6), (k.K4, k4, 8)):
+        packed[at] = sign * value * unit**power
+    if model.convention == "opencv":
+        p1, p2 = p2, p1
+    packed[k.P1], packed[k.P2] = sign * p1 * unit, sign * p2 * unit
+    if model.convention in ("usgs", "australis"):
+        packed[k.B1], packed[k.B2] = sign * b1, sign * b2
+        return 0.0, 0.0
+    return b1, b2
+
+
+def _tilt(taux: Any, tauy: Any) -> Any:
+    """OpenCV's matrix of the tilted sensor, row by row."""
+    cx, sx, cy, sy = np.cos(taux), np.sin(taux), np.cos(tauy), np.sin(tauy)
+    r = ((cy, sy * sx, -sy * cx), (0.0 * cx, cx, sx), (sy, -cy * sx, cy * cx))
+    w = r[2][2]
+    first = tuple(w * r[0][i] - r[0][2] * r[2][i] for i in range(3))
+    second = tuple(w * r[1][i] - r[1][2] * r[2][i] for i in range(3))
+    return (*first, *second, *r[2])
+
+
+def _opencv_into(packed: Any, values: Any) -> None:
+    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, taux, tauy = values
+    packed[k.R0] = 1.0
+    packed[k.K1], packed[k.K2], packed[k.K3] = k1, k2, k3
+    packed[k.P1], packed[k.P2] = p2, p1
+    packed[k.D1], packed[k.D2], packed[k.D3] = k4, k5, k6
+    packed[k.S1], packed[k.S2], packed[k.S3], packed[k.S4] = s1, s2, s3, s4
+    packed[k.T : k.T + 9] = _tilt(taux, tauy)
+
+
+def pack_parameters(vector: Any, affine: Affine2, distortion: Distortion) -> Any:
+    """The parameter array without its inverses and limits; also for complex `vector` (derivatives)."""
+    vector = np.asarray(vector)
+    packed = np.zeros(k.LENGTH, dtype=np.result_type(vector.dtype, np.float64))
+    c, xp, yp = vector[:3]
+    xs, ys, values = xp, yp, vector[3:]
+    if isinstance(distortion, BrownDistortion) and distortion.symmetry_mm is not None:
+        xs, ys, values = vector[3], vector[4], vector[5:]
+    packed[k.R0] = 1.0
+    b1 = b2 = 0.0
+    flip = -1.0
+    if isinstance(distortion, BrownDistortion):
+        b1, b2 = _brown_into(packed, c, values, distortion)
+        flip = -1.0 if distortion.convention in ("opencv", "agisoft") else 1.0
+    elif isinstance(distortion, OpenCVDistortion):
+        _opencv_into(packed, values)
+    elif isinstance(distortion, FisheyeDistortion):
+        packed[k.K1 : k.K4 + 1] = values
+    else:
+        flip = 1.0
+    # Ideal point about the point of symmetry, in the axes of the convention.
+    ideal = np.array([[1.0, 0.0, (xp - xs) / c], [0.0, flip, flip * (yp - ys) / c]])
+    output = np.array([[1.0 + b1, b2], [0.0, 1.0]])
+    if model_code(distortion) == k.BROWN_INVERSE:
+        ideal = _inverse2(output) @ ideal
+        output = np.eye(2)
+    photo = c * np.array([[1.0, 0.0], [0.0, flip]]) @ output
+    a = np.array(affine)
+    packed[k.E : k.E + 6] = ideal.ravel()
+    packed[k.P : k.P + 6] = np.column_stack([a[:, :2] @ photo, a[:, :2] @ [xs, ys] + a[:, 2]]).ravel()
+    return packed
+
+
+def _inverse2(m: Any) -> Any:
+    return np.array([[m[1, 1], -m[0, 1]], [-m[1, 0], m[0, 0]]]) / (m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0])
+
+
+def _inverse_affine(flat: Array) -> Array:
+    m = flat.reshape(2, 3)
+    inverse = _inverse2(m[:, :2])
+    return np.column_stack([inverse, -inverse @ m[:, 2]]).ravel()
+
+
+def _radial_limit(model: int, packed: Array) -> float:
+    """Radius up to which the radial function rises: its first stationary point or pole, else infinity."""
+    numerator = np.polynomial.Polynomial(packed[[k.R0, k.K1, k.K2, k.K3, k.K4]])
+    s = np.polynomial.Polynomial([0.0, 1.0])
+    if model == k.FISHEYE:
+        theta = _first_root(numerator + 2 * s * numerator.deriv(), (math.pi / 2) ** 2)
+        return math.tan(math.sqrt(theta)) if theta < (math.pi / 2) ** 2 else math.inf
+    denominator = np.polynomial.Polynomial([1.0, *packed[[k.D1, k.D2, k.D3]]])
+    slope = (numerator + 2 * s * numerator.deriv()) * denominator - 2 * s * numerator * denominator.deriv()
+    return math.sqrt(min(_first_root(slope, math.inf), _first_root(denominator, math.inf)))
+
+
+def _first_root(polynomial: np.polynomial.Polynomial, end: float) -> float:
+    """Smallest positive real root below `end`, else `end`."""
+    trimmed = polynomial.trim()
+    if trimmed.degree() == 0:
+        return end
+    roots = np.asarray(trimmed.roots(), dtype=np.complex128)
+    # A stationary point of inflection (a double root) counts as a limit: the slope vanishes there.
+    real = roots.real[(np.abs(roots.imag) <= 1e-7 * np.abs(roots)) & (roots.real > 0.0)]
+    return min(float(real.min()), end) if real.size else end
+
+
+def _fold_limit(model: int, packed: Array, limit: float, reach: float) -> float:
+    """Radius below `limit` at which the Jacobian of D stops being positive in some direction.
+
+    Decentring, prism, affinity and tilt can fold the image before the radial terms do. Sampled on
+    72 directions out to `reach`, then bisected.
+    """
+    angles = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
+    radii = np.linspace(0.0, min(limit, reach), 129)[1:]
+
+    def smallest(radius: float) -> float:
+        found = []
+        for angle in angles:
+            x, y = radius * math.cos(angle), radius * math.sin(angle)
+            _, _, a, b, c, d = k.distortion_derivatives(model, packed, x, y)
+            found.append(a * d - b * c)
+        return float(np.min(found))  # NaN (behind the horizon of the tilt) stays NaN
+
+    if min(limit, reach) == limit:
+        radii = radii[:-1]  # at the limit itself the Jacobian is zero by construction
+    good = 0.0
+    for radius in radii:
+        if smallest(radius) > 0.0:
+            good = float(radius)
+            continue
+        bad = float(radius)
+        for _ in range(50):
+            middle = 0.5 * (good + bad)
+            good, bad = (middle, bad) if smallest(middle) > 0.0 else (good, middle)
+        return good
+    return limit
+
+
+def _reach(packed: Array, size: tuple[int, int], model: int) -> float:
+    """Radius of the argument of D that certainly covers the pixel array."""
+    columns, rows = size
+    inverse = packed[k.P_INV : k.P_INV + 6].reshape(2, 3)
+    corners = np.array([[0, 0, 1], [columns, 0, 1], [0, rows, 1], [columns, rows, 1]], dtype=np.float64)
+    furthest = float(np.linalg.norm(corners @ inverse.T, axis=1).max())
+    if model == k.BROWN_INVERSE:
+        return furthest * _SEARCH_MARGIN
+    return float(k.radial_inverse(model, packed, furthest)) * _SEARCH_MARGIN
+
+
+@lru_cache(maxsize=1024)
+def pack(
+    size_px: tuple[int, int], vector: tuple[float, ...], affine: Affine2, distortion: Distortion
+) -> tuple[int, Array]:
+    """Model code and read-only parameter array.
+
+    Raises
+    ------
+    InputError
+        If the distortion has no monotonic range at all (it folds at its centre).
+    """
+    model = model_code(distortion)
+    packed = pack_parameters(vector, affine, distortion)
+    packed[k.COLUMNS], packed[k.ROWS] = size_px
+    packed[k.P_INV : k.P_INV + 6] = _inverse_affine(packed[k.P : k.P + 6])
+    packed[k.E_INV : k.E_INV + 6] = _inverse_affine(packed[k.E : k.E + 6])
+    limit = math.inf
+    if model == k.OPENCV:
+        packed[k.T_INV : k.T_INV + 9] = np.linalg.inv(packed[k.T : k.T + 9].reshape(3, 3)).ravel()
+    if model != k.PINHOLE:
+        if packed[k.R0] <= 0.0:
+            raise InputError("must leave the image its orientation: 1 + k0 > 0", field="distortion.k0")
+        limit = _radial_limit(model, packed)
+        packed[k.R_START] = min(limit, 1e4)
+        limit = _fold_limit(model, packed, limit, _reach(packed, size_px, model))
+        if limit == 0.0:
+            raise InputError("must not fold the image at its centre", field="distortion")
+        packed[k.R_START] = min(limit, 1e4)
+    packed[k.R2_MAX] = limit * limit
+    packed.flags.writeable = False
+    return model, packed
+
+
+def pack_jacobian(vector: tuple[float, ...], affine: Affine2, distortion: Distortion) -> Array:
+    """d (parameter array) / d (interior parameters), shape (LENGTH, n).
+
+    By complex steps through the same folding: exact to rounding, no difference is taken.
+    """
+    n = len(vector)
+    result = np.empty((k.LENGTH, n))
+    for i in range(n):
+        stepped = np.array(vector, dtype=np.complex128)
+        stepped[i] += 1e-30j
+        result[:, i] = np.imag(pack_parameters(stepped, affine, distortion)) / 1e-30
+    return result
