@@ -1,0 +1,2 @@
+"""Geocentric, tangent and map frames, height systems, map scale, curvature, attitudes. Only place that
+imports pyproj."""
