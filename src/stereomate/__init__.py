@@ -11,9 +11,11 @@ from typing import Any
 __version__ = "0.1.0"
 
 # Public name -> module that defines it. A folder adds its names here.
-_PUBLIC: dict[str, str] = {}
+_PUBLIC: dict[str, str] = {
+    "overcorrection_factor": "stereomate.relative.overcorrection",
+}
 
-__all__ = ["__version__", *sorted(_PUBLIC)]
+__all__ = ["__version__", *sorted(_PUBLIC)]  # noqa: PLE0604
 
 
 def __getattr__(name: str) -> Any:

@@ -1,0 +1,1 @@
+"""Relative orientation of a pair: over-correction, empirical and rigorous solutions, drawings as values."""
