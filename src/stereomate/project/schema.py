@@ -60,10 +60,11 @@ class DistortionSection(Section):
     """``distortion = { ... }`` of a camera; coefficients that are not given are zero."""
 
     model: Literal["brown", "opencv", "fisheye"]
-    convention: Literal["opencv", "agisoft", "usgs"] = "opencv"
+    convention: Literal["opencv", "agisoft", "usgs", "australis"] = "opencv"
     direction: Literal["ideal_to_measured", "measured_to_ideal"] = "ideal_to_measured"
     units: Literal["normalised", "mm"] = "normalised"
     point_of_symmetry_mm: Two | None = None
+    k0: Finite = 0.0
     k1: Finite = 0.0
     k2: Finite = 0.0
     k3: Finite = 0.0
@@ -84,6 +85,10 @@ class DistortionSection(Section):
     @model_validator(mode="after")
     def _coefficients_belong_to_the_model(self) -> DistortionSection:
         known = COEFFICIENTS[self.model]
+        if self.model != "brown":
+            for name in ("convention", "direction", "units", "point_of_symmetry_mm"):
+                if name in self.model_fields_set:
+                    raise ValueError(f"{name} has a meaning only with the brown model")
         for name in sorted(self.model_fields_set & ALL_COEFFICIENTS):
             if name not in known:
                 raise ValueError(f"{name} is no coefficient of the {self.model} model: {', '.join(known)}")
@@ -91,7 +96,7 @@ class DistortionSection(Section):
 
 
 COEFFICIENTS: Final[dict[str, tuple[str, ...]]] = {
-    "brown": ("k1", "k2", "k3", "p1", "p2", "b1", "b2"),
+    "brown": ("k0", "k1", "k2", "k3", "k4", "p1", "p2", "b1", "b2"),
     "opencv": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "taux", "tauy"),
     "fisheye": ("k1", "k2", "k3", "k4"),
 }
