@@ -6,6 +6,12 @@ A patch is a float64 array (rows, cols), NaN where there is no height. Positions
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
 from stereomate.terrain.kernels.rays import (
     block_maxima,
     first_hit,
@@ -27,7 +33,13 @@ from stereomate.terrain.kernels.sampling import (
     sample_line,
 )
 
+# A kernel that samples a patch at scattered points: (patch, cols, rows, out).
+Sampler: TypeAlias = Callable[
+    [NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], None
+]
+
 __all__ = [
+    "Sampler",
     "bilinear",
     "bilinear_gradient",
     "bilinear_line",
