@@ -1,1 +1,1 @@
-"""What the photographs of a survey cover: footprints, overlap, pairs, base/height and ground sampling distance."""
+"""What the photographs of a survey cover: footprints, overlap, pairs, base/height and pixel size."""

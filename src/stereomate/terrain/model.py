@@ -100,7 +100,7 @@ class HeightModel:
         text = crs or info.crs_wkt
         if not text:
             raise CrsError("states no CRS", file=path, hint="say it with terrain.crs")
-        wanted = _unit_of(heights)
+        wanted = height_unit_m(heights)
         unit = unit or written
         factor = metres_per_unit(unit, file=path) / wanted if unit else 1.0
         return cls(FileSource(path, nodata, factor), MapFrame(text, heights), info.transform, path)
@@ -256,7 +256,7 @@ def sample_blockwise(model: HeightModel, pixels: Floats, method: Interpolation) 
     return out
 
 
-def _unit_of(heights: HeightSystem) -> float:
+def height_unit_m(heights: HeightSystem) -> float:
     """Metres per unit of the heights that a height system takes."""
     if heights.kind != "vertical_crs":
         return heights.unit_m
