@@ -28,7 +28,7 @@ OTHER: Final = "other"
 
 # Written name (lower case, letters only, unit removed) -> column.
 _SYNONYMS: Final = {
-    NAME: "filename file name image imagename imageid photo photoid photoname picture label img imgname",
+    NAME: "filename file name image imagename imageid photo photoid photoname label img point pointid",
     "x": "x easting east e x0 xl xeasting ox",
     "y": "y northing north n y0 yl ynorthing oy",
     "z": "z height h altitude alt elevation z0 zl zaltitude oz ellipsoidalheight",

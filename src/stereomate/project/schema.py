@@ -37,7 +37,7 @@ AnglesAxes = Literal["grid", "local", "tangent", "rph"]
 AngleOrder = Literal["omega-phi-kappa", "phi-omega-kappa"]
 AngleUnit = Literal["deg", "gon", "rad", "deg.mmss"]
 AdjustedIn = Literal["grid", "space"]
-Mount = Literal["top-forward", "x-forward"]
+Mount = Literal["y_forward", "x_forward", "gimbal"]
 
 
 class Section(BaseModel):
@@ -145,7 +145,7 @@ class OrientationSection(Section):
     angle_order: AngleOrder = "omega-phi-kappa"
     angle_unit: AngleUnit = "deg"
     north: Literal["true", "grid"] = "true"
-    mount: Mount = "top-forward"
+    mount: Mount = "y_forward"
     boresight_deg: Three | None = None
     origin: Three | None = None
     adjusted_in: AdjustedIn | None = None
@@ -182,7 +182,6 @@ class TerrainSection(Section):
     heights: str | None = None
     unit: Literal["metre", "foot", "us-survey-foot"] | None = None
     nodata: float | None = None
-    band: Annotated[int, Field(ge=1)] = 1
 
 
 class ControlSection(Section):
