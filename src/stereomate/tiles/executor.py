@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from typing import Final, Generic, Protocol, TypeVar
 
 from stereomate.errors import InputError
-from stereomate.tiles.ledger import Buffer, Ledger
+from stereomate.raster.files import Buffer
+from stereomate.tiles.ledger import Ledger
 from stereomate.tiles.plan import Chunk, TilePlan
 from stereomate.tiles.threads import limit_library_threads
 

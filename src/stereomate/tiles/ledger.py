@@ -15,22 +15,20 @@ import hashlib
 import json
 import os
 import struct
-import tempfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self
 
 from stereomate.errors import FormatError, StorageError
+from stereomate.raster.files import Buffer, storing, write_whole
 
 LEDGER_FORMAT: Final = 1
 
 _MAGIC: Final = b"SMCHUNK1"
 # magic, length of the index, CRC-32 of the index
 _HEAD: Final = struct.Struct("<8sII")
-
-Buffer = bytes | bytearray | memoryview
 
 
 @dataclass(frozen=True)
@@ -232,30 +230,3 @@ def _verified_index(path: Path) -> dict[str, _Blob] | None:
             return None if file.read(1) else blobs
     except OSError:
         return None
-
-
-def write_whole(path: Path, parts: list[Buffer]) -> None:
-    """Write a file under a temporary name in its folder and rename it: there whole, or not at all."""
-    handle, name = tempfile.mkstemp(prefix=".", suffix=".part", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb", buffering=0) as file:
-            for part in parts:
-                view = memoryview(part).cast("B")
-                while view:
-                    view = view[file.write(view) or 0 :]
-        os.replace(name, path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            os.unlink(name)
-        raise
-
-
-@contextlib.contextmanager
-def storing(place: Path) -> Iterator[None]:
-    """Turn what the system says about a place that cannot be written into an error that names it."""
-    try:
-        yield
-    except StorageError:
-        raise
-    except OSError as error:
-        raise StorageError(f"{error.filename or place}: {error.strerror or error}") from error
