@@ -295,3 +295,46 @@ def test_wrong_cameras_are_refused_by_field(change, field):
 def test_wrong_distortions_are_refused_by_field(make, field):
     with pytest.raises(InputError, match=field):
         make()
+
+
+def _central(function, at, steps):
+    columns = []
+    for i, step in enumerate(steps):
+        shift = np.zeros(len(at))
+        shift[i] = step
+        # Fourth order: the differences are good to 1e-9 even for high powers of the radius.
+        near = function(at + shift) - function(at - shift)
+        far = function(at + 2 * shift) - function(at - 2 * shift)
+        columns.append((8 * near - far) / (12 * step))
+    return np.stack(columns, axis=-1)
+
+
+@pytest.mark.parametrize("name", DISTORTIONS)
+def test_jacobians_are_the_central_differences(name):
+    cam = camera(name)
+    points = cam.rays_from_image(np.random.default_rng(8).uniform(100, 2900, (20, 2))) * 7.0
+    pixels, inside, d_points, d_interior = cam.image_jacobians(points)
+    np.testing.assert_allclose(pixels, cam.image_from_camera(points)[0], atol=1e-9)
+    assert inside.all()
+    for point, jacobian in zip(points, d_points, strict=True):
+        numeric = _central(lambda at: cam.image_from_camera(at)[0], point, [1e-3] * 3)
+        np.testing.assert_allclose(jacobian, numeric, rtol=1e-7, atol=1e-6)
+    at = np.array(cam.parameters)
+    # Steps that move the image by about a hundredth of a pixel each.
+    steps = 1e-2 / np.maximum(np.abs(d_interior).max(axis=(0, 1)), 1e-6)
+    numeric = _central(lambda v: cam.with_parameters(v).image_from_camera(points)[0], at, steps)
+    scale = np.abs(d_interior).max(axis=(0, 1))
+    assert d_interior.shape == (20, 2, len(cam.parameter_names))
+    np.testing.assert_allclose(d_interior / scale, numeric / scale, rtol=0, atol=2e-7)
+
+
+def test_parameters_go_round():
+    for name in DISTORTIONS:
+        cam = camera(name)
+        assert len(cam.parameters) == len(cam.parameter_names)
+        assert cam.with_parameters(cam.parameters) == cam
+        named = dict(zip(cam.parameter_names, cam.parameters, strict=True))
+        for field in cam.distortion.coefficient_names:
+            assert named[field] == getattr(cam.distortion, field)
+    with pytest.raises(InputError, match="interior parameters"):
+        camera("pinhole").with_parameters([1.0])

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stereomate.camera import kernels
-from stereomate.camera.distortion import BrownDistortion, Distortion, NoDistortion
+from stereomate.camera.distortion import BrownDistortion, Distortion, NoDistortion, OpenCVDistortion
+from stereomate.camera.kernels.layout import R2_MAX
 from stereomate.camera.packing import Affine2, interior_vector, model_code, pack, pack_jacobian
 from stereomate.errors import InputError
 
@@ -237,6 +238,34 @@ class Camera:
             distortion=distortion,
         )
 
+    def image_jacobians(self, points: ArrayLike) -> tuple[Array, NDArray[np.bool_], Array, Array]:
+        """Pixels of points in the camera frame with their derivatives.
+
+        Parameters
+        ----------
+        points : array_like, shape (n, 3)
+
+        Returns
+        -------
+        pixels : ndarray, shape (n, 2)
+        inside : ndarray of bool, shape (n,)
+        d_points : ndarray, shape (n, 2, 3)
+            By the point in the camera frame.
+        d_interior : ndarray, shape (n, 2, m)
+            By the interior parameters, in the order of `parameter_names`.
+        """
+        points = np.ascontiguousarray(points, dtype=np.float64)
+        n = points.shape[0]
+        _, parameters = self.kernel_parameters()
+        jacobian = self.parameter_jacobian()
+        active = np.flatnonzero(np.any(jacobian != 0.0, axis=1)).astype(np.int64)
+        pixels, inside = np.empty((n, 2)), np.empty(n, dtype=np.bool_)
+        d_points, d_interior = np.empty((n, 2, 3)), np.empty((n, 2, jacobian.shape[1]))
+        kernels.image_jacobians(
+            self.jacobian_model, parameters, points, active, jacobian, pixels, inside, d_points, d_interior
+        )
+        return pixels, inside, d_points, d_interior
+
     def parameter_jacobian(self) -> Array:
         """d (parameter array of the kernels) / d (`parameters`), shape (kernels.LENGTH, n)."""
         return pack_jacobian(self.parameters, self.pixel_from_photo, self.distortion)
@@ -248,7 +277,7 @@ class Camera:
         Of the ideal point where the model distorts, of the measured point where it corrects; infinite
         where the model has no limit.
         """
-        return math.sqrt(float(self.kernel_parameters()[1][kernels.R2_MAX]))
+        return math.sqrt(float(self.kernel_parameters()[1][R2_MAX]))
 
     def covers_whole_array(self) -> bool:
         """Whether every pixel of the border has a ray: the distortion is monotonic up to the corners."""
@@ -261,8 +290,13 @@ class Camera:
         return bool(np.isfinite(self.rays_from_image(border)).all())
 
     @property
-    def uses_model(self) -> int:
-        """Model code of the kernels."""
+    def jacobian_model(self) -> int:
+        """Model code under which every interior parameter has its derivative.
+
+        That of `kernel_parameters`, except for OpenCV's model where terms that are zero are not computed.
+        """
+        if isinstance(self.distortion, OpenCVDistortion):
+            return kernels.OPENCV
         return model_code(self.distortion)
 
 

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereomate.camera import kernels as k
 from stereomate.camera.distortion import (
     BrownDistortion,
     Distortion,
@@ -22,6 +21,9 @@ from stereomate.camera.distortion import (
     OpenCVDistortion,
     coefficients,
 )
+from stereomate.camera.kernels import layout as k
+from stereomate.camera.kernels.distortion import radial_inverse
+from stereomate.camera.kernels.jacobian import smallest_determinant
 from stereomate.errors import InputError
 
 Affine2 = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -29,6 +31,8 @@ Array = NDArray[np.float64]
 
 # How far beyond the corners of the pixel array the Jacobian of the distortion is searched for a fold.
 _SEARCH_MARGIN = 1.25
+# Radii beyond this many principal distances (89.99° off the axis) are of no camera.
+_FAR = 1e4
 
 
 def model_code(distortion: Distortion) -> int:
@@ -144,9 +148,12 @@ def _radial_limit(model: int, packed: Array) -> float:
 
 def _first_root(polynomial: np.polynomial.Polynomial, end: float) -> float:
     """Smallest positive real root below `end`, else `end`."""
-    trimmed = polynomial.trim()
-    if trimmed.degree() == 0:
+    # Terms that are nothing even at the largest radius would only spoil the roots.
+    at_most = np.abs(polynomial.coef) * (_FAR * _FAR) ** np.arange(polynomial.coef.size)
+    significant = np.flatnonzero(at_most > 1e-20)
+    if significant.size == 0 or significant[-1] == 0:
         return end
+    trimmed = np.polynomial.Polynomial(polynomial.coef[: significant[-1] + 1])
     roots = np.asarray(trimmed.roots(), dtype=np.complex128)
     # A stationary point of inflection (a double root) counts as a limit: the slope vanishes there.
     real = roots.real[(np.abs(roots.imag) <= 1e-7 * np.abs(roots)) & (roots.real > 0.0)]
@@ -159,16 +166,10 @@ def _fold_limit(model: int, packed: Array, limit: float, reach: float) -> float:
     Decentring, prism, affinity and tilt can fold the image before the radial terms do. Sampled on
     72 directions out to `reach`, then bisected.
     """
-    angles = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
     radii = np.linspace(0.0, min(limit, reach), 129)[1:]
 
     def smallest(radius: float) -> float:
-        found = []
-        for angle in angles:
-            x, y = radius * math.cos(angle), radius * math.sin(angle)
-            _, _, a, b, c, d = k.distortion_derivatives(model, packed, x, y)
-            found.append(a * d - b * c)
-        return float(np.min(found))  # NaN (behind the horizon of the tilt) stays NaN
+        return float(smallest_determinant(model, packed, radius, 72))
 
     if min(limit, reach) == limit:
         radii = radii[:-1]  # at the limit itself the Jacobian is zero by construction
@@ -193,7 +194,7 @@ def _reach(packed: Array, size: tuple[int, int], model: int) -> float:
     furthest = float(np.linalg.norm(corners @ inverse.T, axis=1).max())
     if model == k.BROWN_INVERSE:
         return furthest * _SEARCH_MARGIN
-    return float(k.radial_inverse(model, packed, furthest)) * _SEARCH_MARGIN
+    return float(radial_inverse(model, packed, furthest)) * _SEARCH_MARGIN
 
 
 @lru_cache(maxsize=1024)
@@ -213,17 +214,17 @@ def pack(
     packed[k.P_INV : k.P_INV + 6] = _inverse_affine(packed[k.P : k.P + 6])
     packed[k.E_INV : k.E_INV + 6] = _inverse_affine(packed[k.E : k.E + 6])
     limit = math.inf
-    if model == k.OPENCV:
+    if isinstance(distortion, OpenCVDistortion):
         packed[k.T_INV : k.T_INV + 9] = np.linalg.inv(packed[k.T : k.T + 9].reshape(3, 3)).ravel()
     if model != k.PINHOLE:
         if packed[k.R0] <= 0.0:
             raise InputError("must leave the image its orientation: 1 + k0 > 0", field="distortion.k0")
         limit = _radial_limit(model, packed)
-        packed[k.R_START] = min(limit, 1e4)
+        packed[k.R_START] = min(limit, _FAR)
         limit = _fold_limit(model, packed, limit, _reach(packed, size_px, model))
         if limit == 0.0:
             raise InputError("must not fold the image at its centre", field="distortion")
-        packed[k.R_START] = min(limit, 1e4)
+        packed[k.R_START] = min(limit, _FAR)
     packed[k.R2_MAX] = limit * limit
     packed.flags.writeable = False
     return model, packed
