@@ -1,0 +1,1 @@
+"""Orthophoto and stereomate straight from the photographs, in one tile engine."""

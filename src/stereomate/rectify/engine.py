@@ -1,0 +1,206 @@
+"""Orthophoto and stereomate of one window of a product, straight from the photographs.
+
+The work of a chunk: ground under the window, the model that serves each pixel's ground, positions in the
+photographs, resampling. The stereomate differs only in that its ground positions come from inverting
+x - q(h(x)) along the rows; both ask the same surface and the same serving rule, so their seams coincide
+on the ground.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereomate.raster import PhotoReader, Window
+from stereomate.rectify.ground import Ground, ground_of, heights_of, mate_positions, shown_ground
+from stereomate.rectify.job import RectifyJob
+from stereomate.rectify.kernels.serve import LEFT_SEES, RIGHT_SEES
+from stereomate.rectify.kernels.warp import warp
+from stereomate.rectify.layout import StereoModel
+from stereomate.rectify.readers import reader_of
+from stereomate.rectify.resample import resample
+from stereomate.rectify.scratch import scratch
+from stereomate.rectify.serving import Pixels, camera_nodes, models_of_window, serve_pixels
+
+Floats = NDArray[np.float64]
+Side = Literal["left", "right"]
+
+NO_PHOTOGRAPH = np.empty((0, 0), np.uint16)
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A product over a window.
+
+    Attributes
+    ----------
+    pixels : (rows, cols, bands)
+        0 where not valid.
+    valid : (rows, cols) uint8
+        255 where a photograph was resampled.
+    photograph : (rows, cols) uint16
+        Which photograph each pixel comes from, counted from 1; 0 where none.
+
+    All are buffers of the thread: use them before the next window is made.
+    """
+
+    pixels: NDArray[Any]
+    valid: NDArray[np.uint8]
+    photograph: NDArray[np.uint16]
+
+
+def rectify_window(job: RectifyJob, window: Window) -> tuple[Part, Part | None]:
+    """Orthophoto and (in a stereo job) stereomate of a window of the product's pixels."""
+    ortho = orthophoto_part(job, window, "left")
+    return ortho, stereomate_part(job, window) if job.is_stereo else None
+
+
+def orthophoto_part(job: RectifyJob, window: Window, side: Side) -> Part:
+    """Orthophoto of a window from the left (or, for checks of the orientation, the right) photographs."""
+    ground = ground_of(job, window)
+    heights = heights_of(job, ground, "ortho heights")
+    columns = scratch("ortho columns", (1, window.cols), np.float32)
+    columns[0] = np.arange(window.cols, dtype=np.float32) + np.float32(0.5)
+    return _render(job, ground, Pixels(window, columns, heights), side, "ortho")
+
+
+def stereomate_part(job: RectifyJob, window: Window) -> Part:
+    """Stereomate of a window from the right photographs."""
+    ground = shown_ground(job, window)
+    columns, heights, _ = mate_positions(job, window, ground)
+    return _render(job, ground, Pixels(window, columns, heights), "right", "mate")
+
+
+def _render(job: RectifyJob, ground: Ground, pixels: Pixels, side: Side, name: str) -> Part:
+    shape = (pixels.window.rows, pixels.window.cols)
+    out = scratch(f"{name} pixels", (*shape, len(job.bands)), job.dtype)
+    valid = scratch(f"{name} valid", shape, np.uint8)
+    photograph = scratch(f"{name} photograph", shape, np.uint16)
+    valid.fill(0)
+    photograph.fill(0)
+    if ground.is_void:
+        out.fill(0)
+        return Part(out, valid, photograph)
+    nodes = camera_nodes(job, ground)
+    models = models_of_window(job, ground, nodes)
+    if not models:
+        out.fill(0)
+        return Part(out, valid, photograph)
+    serving = serve_pixels(job, ground, pixels, models, nodes)
+    if isinstance(serving.model, int):
+        p = _photograph(models[serving.model], side)
+        _resample_photograph(job, ground, pixels, nodes[p], p, NO_PHOTOGRAPH, out, valid)
+        np.multiply(valid != 0, np.uint16(p + 1), out=photograph)
+    else:
+        assert isinstance(serving.sees, np.ndarray)
+        wanted = _photograph_of_pixels(models, serving.model, serving.sees, side, job.options.hidden)
+        for p in np.unique(wanted[wanted > 0]):
+            _composite(
+                job, ground, pixels, nodes[int(p) - 1], int(p) - 1, wanted, Part(out, valid, photograph)
+            )
+    out[valid == 0] = 0
+    return Part(out, valid, photograph)
+
+
+def _photograph(model: StereoModel, side: Side) -> int:
+    return model.left if side == "left" else model.right
+
+
+def _photograph_of_pixels(
+    models: list[StereoModel], model: NDArray[np.int16], sees: NDArray[np.uint8], side: Side, hidden: str
+) -> NDArray[np.uint16]:
+    """Photograph (from 1) of every pixel; 0 where there is none or the ground is hidden from it."""
+    table = np.array([_photograph(m, side) + 1 for m in models] + [0], np.uint16)
+    wanted = table[model]
+    if hidden != "keep":
+        bit = LEFT_SEES if side == "left" else RIGHT_SEES
+        wanted[(sees & bit) == 0] = 0
+    return np.ascontiguousarray(wanted)
+
+
+def _composite(
+    job: RectifyJob,
+    ground: Ground,
+    pixels: Pixels,
+    nodes: Floats,
+    p: int,
+    wanted: NDArray[np.uint16],
+    part: Part,
+) -> None:
+    """Resample one of several photographs and copy the pixels it serves."""
+    mine = wanted == p + 1
+    rows = np.flatnonzero(mine.any(axis=1))
+    cols = np.flatnonzero(mine.any(axis=0))
+    r0, r1, c0, c1 = int(rows[0]), int(rows[-1]) + 1, int(cols[0]), int(cols[-1]) + 1
+    w = pixels.window
+    box = Pixels(
+        Window(w.col0, w.row0 + r0, c1 - c0, r1 - r0),
+        pixels.columns[:, c0:c1] if pixels.columns.shape[0] == 1 else pixels.columns[r0:r1, c0:c1],
+        pixels.heights[r0:r1, c0:c1],
+    )
+    shape = (r1 - r0, c1 - c0)
+    values = scratch("photograph pixels", (*shape, len(job.bands)), job.dtype)
+    valid = scratch("photograph valid", shape, np.uint8)
+    _resample_photograph(job, ground, box, nodes, p, wanted[r0:r1, c0:c1], values, valid)
+    there = valid != 0
+    part.pixels[r0:r1, c0:c1][there] = values[there]
+    part.valid[r0:r1, c0:c1][there] = 255
+    part.photograph[r0:r1, c0:c1][there] = p + 1
+
+
+def _resample_photograph(
+    job: RectifyJob,
+    ground: Ground,
+    pixels: Pixels,
+    nodes: Floats,
+    p: int,
+    wanted: NDArray[np.uint16],
+    out: NDArray[Any],
+    valid: NDArray[np.uint8],
+) -> None:
+    window = pixels.window
+    photograph = job.photographs[p]
+    reduction = job.reductions[p]
+    map_x = scratch("map x", (window.rows, window.cols), np.float32)
+    map_y = scratch("map y", (window.rows, window.cols), np.float32)
+    # Counted from the middle of the photograph, float32 positions stay small.
+    shift = tuple(size // reduction // 2 for size in photograph.camera.size_px)
+    code, parameters = photograph.camera.kernel_parameters()
+    lattice = ground.lattice
+    extremes = warp(
+        pixels.columns,
+        pixels.heights,
+        wanted,
+        p + 1,
+        nodes,
+        lattice.col0 - window.col0,
+        lattice.row0,
+        lattice.step,
+        float(window.row0),
+        code,
+        parameters,
+        float(reduction),
+        float(shift[0]),
+        float(shift[1]),
+        map_x,
+        map_y,
+        valid,
+    )
+    if extremes[0] > extremes[1]:
+        valid.fill(0)
+        return
+    reader: PhotoReader = reader_of(photograph)
+    resample(
+        reader,
+        job.bands,
+        (map_x, map_y),
+        extremes,
+        (shift[0], shift[1]),
+        reduction,
+        job.options.resampling,
+        out,
+        valid,
+    )

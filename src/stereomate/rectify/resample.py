@@ -1,0 +1,146 @@
+"""Resampling of a photograph at given positions: a window of it is read, reduced if need be, and remapped."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from stereomate.raster import PhotoReader, Window
+from stereomate.rectify.kernels.warp import move
+from stereomate.rectify.options import Resampling
+
+_FLAGS: dict[str, int] = {
+    "nearest": cv2.INTER_NEAREST,
+    "bilinear": cv2.INTER_LINEAR,
+    "cubic": cv2.INTER_CUBIC,
+    "lanczos": cv2.INTER_LANCZOS4,
+}
+# Pixels on each side of a position that carry weight.
+_REACH: dict[str, int] = {"nearest": 1, "bilinear": 1, "cubic": 2, "lanczos": 4}
+
+
+def resample(
+    reader: PhotoReader,
+    bands: tuple[int, ...],
+    positions: tuple[NDArray[np.float32], NDArray[np.float32]],
+    extremes: tuple[float, float, float, float],
+    shift: tuple[int, int],
+    reduction: int,
+    method: Resampling,
+    out: NDArray[Any],
+    valid: NDArray[np.uint8],
+) -> None:
+    """Values of a photograph at positions, written to `out`; `valid` is cleared where the photograph is.
+
+    Parameters
+    ----------
+    bands : tuple of int
+        Bands to take, counted from 0.
+    positions : (map_x, map_y), each (rows, cols) float32
+        Relative to `shift`, in pixels of the reduced photograph, 0 at the centre of a pixel; moved in place.
+    extremes : (min_x, max_x, min_y, max_y) of the positions.
+    reduction : int
+        Photograph pixels averaged (reduction x reduction) before resampling.
+    out : (rows, cols, bands)
+    valid : (rows, cols) uint8
+        255 where the positions are meant; set to 0 where any pixel with weight is masked in the photograph.
+    """
+    min_x, max_x, min_y, max_y = extremes
+    reach = _REACH[method]
+    col0 = math.floor(min_x) - reach + shift[0]
+    row0 = math.floor(min_y) - reach + shift[1]
+    col1 = math.floor(max_x) + reach + 2 + shift[0]
+    row1 = math.floor(max_y) + reach + 2 + shift[1]
+    wanted = Window(col0 * reduction, row0 * reduction, (col1 - col0) * reduction, (row1 - row0) * reduction)
+    source, window = reader.read_window(*wanted)
+    usable = source_mask(reader, wanted, source)
+    source = take_bands(source, bands)
+    if reduction > 1:
+        source, usable, window = _reduced(source, usable, window, reduction)
+    move(*positions, float(shift[0] - window.col0), float(shift[1] - window.row0))
+    _remap(source, positions, _FLAGS[method], out)
+    if usable is not None:
+        _clear_masked(usable, positions, method, valid)
+
+
+def source_mask(reader: PhotoReader, window: Window, source: NDArray[Any]) -> NDArray[np.bool_] | None:
+    """Valid pixels of a window, or None where all are; invalid floats are set to 0 in `source`."""
+    info = reader.info
+    masks: list[NDArray[np.bool_]] = []
+    if info.has_mask or info.nodata is not None:
+        masks.append(reader.read_mask(*window)[0])
+    if source.dtype.kind == "f":
+        finite = np.isfinite(source).all(axis=2)
+        if not finite.all():
+            masks.append(finite)
+            source[~finite] = 0.0
+    if not masks:
+        return None
+    mask = masks[0] if len(masks) == 1 else masks[0] & masks[1]
+    return None if mask.all() else mask
+
+
+def take_bands(source: NDArray[Any], bands: tuple[int, ...]) -> NDArray[Any]:
+    """The chosen bands, contiguous; the array itself when they are all of them in order."""
+    if bands == tuple(range(source.shape[2])):
+        return source
+    return np.ascontiguousarray(source[:, :, list(bands)])
+
+
+def _reduced(
+    source: NDArray[Any], usable: NDArray[np.bool_] | None, window: Window, factor: int
+) -> tuple[NDArray[Any], NDArray[np.bool_] | None, Window]:
+    """Average over factor x factor pixels. The window starts on a multiple unless it was clamped to 0."""
+    cols, rows = window.cols // factor * factor, window.rows // factor * factor
+    size = (cols // factor, rows // factor)
+    if 0 in size:
+        empty = np.zeros((1, 1, source.shape[2]), source.dtype)
+        return empty, np.zeros((1, 1), np.bool_), Window(window.col0 // factor, window.row0 // factor, 1, 1)
+    small = cv2.resize(source[:rows, :cols], size, interpolation=cv2.INTER_AREA)
+    small = small.reshape(size[1], size[0], source.shape[2])
+    if usable is not None:
+        blocks = usable[:rows, :cols].reshape(size[1], factor, size[0], factor)
+        usable = blocks.all(axis=(1, 3))
+    return small, usable, Window(window.col0 // factor, window.row0 // factor, *size)
+
+
+def _remap(
+    source: NDArray[Any],
+    positions: tuple[NDArray[np.float32], NDArray[np.float32]],
+    flag: int,
+    out: NDArray[Any],
+) -> None:
+    bands = source.shape[2]
+    if source.size == 0:
+        return
+    if bands in (1, 3, 4):
+        target = out if out.flags.c_contiguous else np.empty_like(out)
+        cv2.remap(source, *positions, flag, dst=target, borderMode=cv2.BORDER_REPLICATE)
+        if target is not out:
+            out[...] = target
+        return
+    for band in range(bands):
+        plane = np.ascontiguousarray(source[:, :, band])
+        out[:, :, band] = cv2.remap(plane, *positions, flag, borderMode=cv2.BORDER_REPLICATE)
+
+
+def _clear_masked(
+    usable: NDArray[np.bool_],
+    positions: tuple[NDArray[np.float32], NDArray[np.float32]],
+    method: Resampling,
+    valid: NDArray[np.uint8],
+) -> None:
+    mask = usable.astype(np.uint8)
+    if mask.size == 0:
+        return
+    # Bilinear weights reach the four neighbours; wider kernels see one ring more per extra pixel of reach.
+    extra = _REACH[method] - 1
+    if extra > 0:
+        mask = cv2.erode(mask, np.ones((2 * extra + 1, 2 * extra + 1), np.uint8), borderValue=1)
+    flag = cv2.INTER_NEAREST if method == "nearest" else cv2.INTER_LINEAR
+    share = cv2.remap(mask * np.uint8(255), *positions, flag, borderMode=cv2.BORDER_REPLICATE)
+    valid[share < 254] = 0

@@ -1,0 +1,225 @@
+"""Which model serves each pixel of a window, and what of the ground its photographs see."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereomate.raster import Window
+from stereomate.rectify.ground import Ground, height_patch
+from stereomate.rectify.job import RectifyJob
+from stereomate.rectify.kernels.serve import BOTH_SEE, serve
+from stereomate.rectify.layout import StereoModel
+from stereomate.rectify.scratch import scratch
+from stereomate.terrain.kernels.rays import block_maxima, steepest_slope
+
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+
+# Blocks of height-model cells that a ray skips at once.
+RAY_BLOCK = 16
+# Ground counts as hidden only where the surface rises this far above its ray (metres): the lattice's own
+# accuracy and the rounding of heights stay below it.
+HIDDEN_TOLERANCE_M = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Pixels:
+    """Ground positions of the pixels of a window: columns relative to its first one, and heights."""
+
+    window: Window
+    columns: Floats32
+    heights: Floats32
+
+
+@dataclass(frozen=True, eq=False)
+class Serving:
+    """Which model serves each pixel and which of its photographs see the ground; or one model for all."""
+
+    model: NDArray[np.int16] | int
+    sees: NDArray[np.uint8] | int
+
+
+def camera_nodes(job: RectifyJob, ground: Ground) -> Floats:
+    """Per photograph and node the camera-frame point at height 0 and its change per metre, (P, ny, nx, 6)."""
+    lattice = ground.lattice
+    result = np.empty((len(job.photographs), *lattice.base.shape[:2], 6))
+    for p, photograph in enumerate(job.photographs):
+        camera_from_object = photograph.orientation.object_from_camera.T
+        offset = lattice.base - np.asarray(photograph.orientation.centre)
+        result[p, ..., :3] = offset @ camera_from_object.T
+        result[p, ..., 3:] = lattice.normal @ camera_from_object.T
+    return result
+
+
+def models_of_window(job: RectifyJob, ground: Ground, nodes: Floats) -> list[StereoModel]:
+    """The models whose photographs may show ground of the window (some may turn out not to)."""
+    reach = [_may_show(job, ground, nodes[p], p) for p in range(len(job.photographs))]
+    return [m for m in job.models if reach[m.left] and (m.right < 0 or reach[m.right])]
+
+
+def _node_image(job: RectifyJob, nodes: Floats, p: int, height: float) -> tuple[Floats, Floats]:
+    """Pixel positions of the nodes at a height as if the camera had no distortion, and their depth."""
+    point = nodes[..., :3] + height * nodes[..., 3:]
+    depth = -point[..., 2]
+    return point, depth
+
+
+def _may_show(job: RectifyJob, ground: Ground, nodes: Floats, p: int) -> bool:
+    """Whether the bounding box of the window's image meets the cone of the photograph's own corners."""
+    limit = field_of_view(job, p)
+    low = high = None
+    for height in ground.height_range:
+        point, depth = _node_image(job, nodes, p, height)
+        front = depth > 0.0
+        if not front.any():
+            continue
+        tangents = point[front][:, :2] / depth[front][:, None]
+        if not front.all():
+            return True
+        box = tangents.min(axis=0), tangents.max(axis=0)
+        low = box[0] if low is None else np.minimum(low, box[0])
+        high = box[1] if high is None else np.maximum(high, box[1])
+    if low is None or high is None:
+        return False
+    return bool((low <= limit[1]).all() and (high >= limit[0]).all())
+
+
+def field_of_view(job: RectifyJob, p: int) -> tuple[Floats, Floats]:
+    """Least and greatest (x/-z, y/-z) over the border of a photograph, with a margin of 2 %."""
+    camera = job.photographs[p].camera
+    cols, rows = camera.size_px
+    t = np.linspace(0.0, 1.0, 17)
+    border = np.concatenate(
+        [
+            np.stack([t * cols, 0 * t], axis=-1),
+            np.stack([t * cols, 0 * t + rows], axis=-1),
+            np.stack([0 * t, t * rows], axis=-1),
+            np.stack([0 * t + cols, t * rows], axis=-1),
+        ]
+    )
+    rays = camera.rays_from_image(border)
+    tangents = rays[:, :2] / -rays[:, 2:]
+    tangents = tangents[np.isfinite(tangents).all(axis=1)]
+    if len(tangents) < 8:
+        # A camera of more than its distortion covers: nothing is excluded beforehand.
+        return np.full(2, -math.inf), np.full(2, math.inf)
+    low, high = tangents.min(axis=0), tangents.max(axis=0)
+    margin = 0.02 * (high - low)
+    return low - margin, high + margin
+
+
+def serve_pixels(
+    job: RectifyJob, ground: Ground, pixels: Pixels, models: list[StereoModel], nodes: Floats
+) -> Serving:
+    """Choose the model of every pixel's ground; one model for all where nothing is to be decided."""
+    hidden = _can_be_hidden(job, ground, nodes)
+    if len(models) == 1 and not hidden.any() and _all_inside(job, ground, nodes, models[0]):
+        return Serving(0, BOTH_SEE)
+    if hidden.any():
+        ground = _with_way_to_centres(job, ground, nodes)
+    window = pixels.window
+    model = scratch("model", (window.rows, window.cols), np.int16)
+    sees = scratch("sees", (window.rows, window.cols), np.uint8)
+    cameras = [p.camera.kernel_parameters() for p in job.photographs]
+    serve(
+        pixels.columns,
+        pixels.heights,
+        ground.lattice.col0 - window.col0,
+        ground.lattice.row0,
+        ground.lattice.step,
+        float(window.row0),
+        _scores(ground, models, nodes),
+        np.array([m.left for m in models]),
+        np.array([m.right for m in models]),
+        nodes,
+        np.array([code for code, _ in cameras]),
+        np.array([parameters for _, parameters in cameras]),
+        ground.surface_nodes,
+        ground.patch,
+        block_maxima(ground.patch, RAY_BLOCK),
+        RAY_BLOCK,
+        HIDDEN_TOLERANCE_M,
+        _centres_in_patch(job, ground),
+        hidden.astype(np.uint8),
+        job.options.hidden == "fill",
+        model,
+        sees,
+    )
+    return Serving(model, sees)
+
+
+def _scores(ground: Ground, models: list[StereoModel], nodes: Floats) -> Floats:
+    """Per node and model: tangent of the steeper of the two rays' nadir angles, plus the base's penalty."""
+    middle = 0.5 * (ground.height_range[0] + ground.height_range[1])
+    tangent = _nadir_tangents(nodes, middle)
+    return np.stack(
+        [np.maximum(tangent[m.left], tangent[m.right] if m.right >= 0 else 0.0) + m.penalty for m in models],
+        axis=-1,
+    )
+
+
+def _nadir_tangents(nodes: Floats, height: float) -> Floats:
+    """Tangent of the angle between ray and plumb line at the nodes, per photograph; 1e6 from below."""
+    point = nodes[..., :3] + height * nodes[..., 3:]
+    up = nodes[..., 3:]
+    rise = -np.sum(point * up, axis=-1)
+    across = np.linalg.norm(point + rise[..., None] * up, axis=-1)
+    return np.where(rise > 0.0, across / np.where(rise > 0.0, rise, 1.0), 1e6)
+
+
+def _can_be_hidden(job: RectifyJob, ground: Ground, nodes: Floats) -> NDArray[np.bool_]:
+    """Per photograph: whether any slope of the ground is as steep as a ray to it."""
+    if job.options.hidden == "keep":
+        return np.zeros(len(job.photographs), np.bool_)
+    spacing = job.heights.cell_size_m
+    slope = steepest_slope(ground.patch, spacing[0], spacing[1])
+    tangents = _nadir_tangents(nodes, ground.height_range[1]).reshape(len(nodes), -1).max(axis=1)
+    # The product of slope and tangent reaches 1 where the ray runs along the slope; 5 % for the projection.
+    return np.asarray(slope * tangents > 0.95)
+
+
+def _with_way_to_centres(job: RectifyJob, ground: Ground, nodes: Floats) -> Ground:
+    """The same ground with the height patch widened to where it can still hide something."""
+    tangents = _nadir_tangents(nodes, ground.height_range[1])
+    steepest = float(np.max(tangents[tangents < 1e6], initial=0.0))
+    relief = job.height_range[1] - ground.height_range[0]
+    reach = math.ceil(relief * steepest / min(job.heights.cell_size_m)) + 3
+    rows, cols = job.heights.shape
+    height, width = ground.patch.shape
+    reach = min(reach, max(rows, cols))
+    old_col, old_row = ground.patch_origin
+    col0, row0 = max(old_col - reach, 0), max(old_row - reach, 0)
+    col1, row1 = min(old_col + width + reach, cols), min(old_row + height + reach, rows)
+    patch = height_patch(job, ground.lattice, col0, row0, col1 - col0, row1 - row0)
+    surface = ground.surface_nodes.copy()
+    surface[..., 0] += old_col - col0
+    surface[..., 1] += old_row - row0
+    return replace(ground, patch=patch, surface_nodes=surface, patch_origin=(col0, row0))
+
+
+def _centres_in_patch(job: RectifyJob, ground: Ground) -> Floats:
+    """Projection centres as (column, row, height) of the height patch."""
+    centres = job.centres_in_height_model.copy()
+    offset = float(np.mean(ground.surface_nodes[..., 2]))
+    centres -= [ground.patch_origin[0], ground.patch_origin[1], offset]
+    return centres
+
+
+def _all_inside(job: RectifyJob, ground: Ground, nodes: Floats, model: StereoModel) -> bool:
+    """Whether all nodes, from the lowest to the highest ground, lie well inside the model's photographs."""
+    for p in (model.left, model.right):
+        if p < 0:
+            continue
+        camera = job.photographs[p].camera
+        cols, rows = camera.size_px
+        for height in ground.height_range:
+            pixels, inside = camera.image_from_camera(nodes[p][..., :3] + height * nodes[p][..., 3:])
+            if not inside.all():
+                return False
+            if (pixels < 2.0).any() or (pixels > np.array([cols - 2.0, rows - 2.0])).any():
+                return False
+    return True

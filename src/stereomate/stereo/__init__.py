@@ -1,0 +1,1 @@
+"""The stereo-orthophoto as a value, and measuring in it."""
