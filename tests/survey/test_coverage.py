@@ -137,7 +137,7 @@ def test_not_reaching_the_terrain() -> None:
 
 
 def strip() -> Survey:
-    """60 % forward overlap along the shorter side, two lines with 30 % side overlap, the second flown back."""
+    """60 % forward overlap along the shorter side, two lines with 30 % side overlap, one flown back."""
     rows = [(f"1-{k}", X0 + 192.0 * k * TAU, Y0, 1200.0, 0, 0, 90) for k in range(4)]
     rows += [(f"2-{k}", X0 + 192.0 * (3 - k) * TAU, Y0 + 504.0 * TAU, 1200.0, 0, 0, -90) for k in range(4)]
     return photographs(FRAME, CAMERA, rows)
