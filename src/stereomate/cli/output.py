@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
 
 
 def print_json(value: Any) -> None:
@@ -34,3 +38,35 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple | set | frozenset):
         return [plain(item) for item in value]
     return str(value)
+
+
+def console() -> Console:
+    """Console for tables; a file or a pipe gets lines of 140 characters without colours."""
+    from rich.console import Console
+
+    out = Console()
+    return out if out.is_terminal else Console(width=140)
+
+
+def table(
+    title: str,
+    heads: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    *,
+    left: Sequence[int] = (0,),
+    rest: int = 0,
+) -> Table:
+    """A table with numbers to the right; `left` are the columns of text, `rest` rows are only counted."""
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table
+
+    result = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    for index, head in enumerate(heads):
+        result.add_column(head, justify="left" if index in left else "right", overflow="fold")
+    for row in rows:
+        result.add_row(*(escape(cell) for cell in row))
+    if rest > 0:
+        result.caption = f"and {rest} more (--json lists all)"
+        result.caption_justify = "left"
+    return result

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,16 +15,18 @@ from stereomate.camera.model import Camera
 from stereomate.coverage.survey import Photograph, Survey
 from stereomate.errors import CoverageError, ImageError, InputError, OrientationError, ProjectError
 from stereomate.formats.exif import read_camera_tags
+from stereomate.frames.adjusted import GridAdjustment
 from stereomate.frames.crs import datum_note
 from stereomate.frames.heights import HeightSystem
 from stereomate.frames.mapframe import MapFrame
 from stereomate.frames.orientation import ExteriorOrientation
 from stereomate.frames.tangent import TangentFrame
-from stereomate.project.adjusted import GridScale
 from stereomate.project.cameras import camera_from_section
+from stereomate.project.compare import Comparison, compare_orientations
 from stereomate.project.ground import GroundUnderBlock, ground_under, looks_up
+from stereomate.project.inputs import InputFile, PhotoProblem, file_digest, photo_fingerprint
 from stereomate.project.meaning import resolve_adjusted
-from stereomate.project.model import InputFile, PhotoProblem, Project, file_digest, photo_fingerprint
+from stereomate.project.model import Project
 from stereomate.project.orientations import (
     Reading,
     WrittenOrientations,
@@ -106,9 +109,11 @@ def load(path: str | Path, *, strict: bool | None = None) -> Project:
         area=read_area(file, reading, frame),
         sheets=read_sheets(file, reading, frame),
         pairs=_pairs(file.products, survey, path),
-        grid_scale=placed.scale,
+        grid_adjustment=placed.adjustment,
         inputs=_inputs(path, written, survey, file),
+        comparison=_comparison(file, reading, survey),
         problems=tuple(problems),
+        warnings=tuple(_suspicious_angles(written)),
         notes=tuple(notes),
         document=file.model_dump(mode="json"),
     )
@@ -211,7 +216,7 @@ class _Placed:
     photographs: list[Photograph]
     infos: list[RasterInfo]
     ground: GroundUnderBlock | None
-    scale: GridScale | None
+    adjustment: GridAdjustment | None
     problems: list[PhotoProblem]
 
 
@@ -243,9 +248,9 @@ def _place(
     ground = None
     if model is not None:
         ground = ground_under(centres[rows], rotations[rows], cameras, tangent, model)
-    scale, positions = resolve_adjusted(file, reading, written, rows, ground, options, notes)
-    if scale is not None:
-        written = replace(written, positions=positions)
+    adjustment = resolve_adjusted(file, reading, written, rows, ground, options, notes)
+    if adjustment is not None:
+        written = replace(written, positions=adjustment.centres)
         centres = written.centres(tangent)
         rotations = written.placed(tangent, centres)
         if model is not None:
@@ -255,7 +260,7 @@ def _place(
         keep = np.flatnonzero((ground.seen > 0.0) & (ground.flying_height_m > 0.0))
         good, ground = [good[k] for k in keep], ground.of(keep)
     photographs = [_photograph(c, centres[c.index], rotations[c.index]) for c in good]
-    return _Placed(photographs, [c.info for c in good], ground, scale, problems)
+    return _Placed(photographs, [c.info for c in good], ground, adjustment, problems)
 
 
 def _photograph(candidate: _Candidate, centre: Array, rotation: Array) -> Photograph:
@@ -274,6 +279,17 @@ def _looks_at_the_sky(written: WrittenOrientations, candidate: _Candidate, eleva
         hint="see photos.angles, photos.angle_unit and photos.angle_order",
     )
     return PhotoProblem(candidate.path.name, error)
+
+
+def _suspicious_angles(written: WrittenOrientations) -> list[str]:
+    """Tilts that are all tiny and headings that all fit into ±π look like radians read as degrees."""
+    angles = written.attitudes
+    if angles.ndim != 2 or len(angles) < 2 or written.convention.unit != "deg":
+        return []
+    largest = np.abs(angles).max(axis=0)
+    if not (1.0 < largest[2] <= math.pi and largest[:2].max() < 0.5):
+        return []
+    return [f"{written.source.name}: all angles lie within ±π: are they radians, not degrees?"]
 
 
 def _off_the_ground(
@@ -339,6 +355,13 @@ def _pairs(section: ProductsSection, survey: Survey, path: Path) -> tuple[tuple[
             raise ProjectError("must name two photographs", file=path, field=field, value=list(pair))
         pairs.append((left, right))
     return tuple(pairs)
+
+
+def _comparison(file: ProjectFile, reading: Reading, survey: Survey) -> Comparison | None:
+    section = file.photos.compare
+    if section is None:
+        return None
+    return compare_orientations(section, replace(reading, field="photos.compare"), survey)
 
 
 def _inputs(

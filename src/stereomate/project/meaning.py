@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from numpy.typing import NDArray
 
+from stereomate.errors import InputError
 from stereomate.formats.orientation_table import MAP_COLUMNS, read_orientation_table
-from stereomate.project.adjusted import LARGEST_SHARE_OF_GSD, GridScale, grid_scale, true_positions
+from stereomate.frames.adjusted import GridAdjustment, grid_height_excess_m, space_from_grid_centres
 from stereomate.project.ground import GroundUnderBlock
-from stereomate.project.orientations import Reading, WrittenOrientations, height_system, map_frame
+from stereomate.project.orientations import Reading, WrittenOrientations, height_system, map_frame, named
 from stereomate.project.schema import ControlSection, ProjectFile
 from stereomate.rectify.options import RectifyOptions
 
@@ -22,6 +21,10 @@ _MEANINGS = (
 )
 
 
+# More than this share of the GSD in height must not depend on a key that nobody set.
+_LARGEST_SHARE_OF_GSD = 0.3
+
+
 def resolve_adjusted(
     file: ProjectFile,
     reading: Reading,
@@ -30,14 +33,16 @@ def resolve_adjusted(
     ground: GroundUnderBlock | None,
     options: RectifyOptions,
     notes: list[str],
-) -> tuple[GridScale | None, Array]:
-    """True positions (n, 3) of all orientations, in the frame they are written in.
+) -> GridAdjustment | None:
+    """How centres become true positions; None where they are taken as they are written.
 
-    Returns
-    -------
-    scale : GridScale or None
-        How they were changed; None where they are as written.
-    positions : ndarray (n, 3)
+    Parameters
+    ----------
+    written : WrittenOrientations
+    rows : ndarray of int
+        Those of its orientations that have a photograph.
+    ground : GroundUnderBlock or None
+        From the positions as they are written.
 
     Raises
     ------
@@ -45,50 +50,56 @@ def resolve_adjusted(
         If the key is missing and its meanings differ by more than 0.3 GSD, or it cannot hold.
     """
     declared = file.photos.adjusted_in
-    positions = written.positions
     if declared == "space":
         notes.append("centres are true positions (declared)")
-        return None, positions
+        return None
     if not written.in_grid:
         if declared == "grid":
             raise reading.error("adjusted_in", "cannot be: positions are not coordinates of a map grid")
-        return None, positions
+        return None
     if declared is None and written.camera_values:
         notes.append(
             f"{written.source.name}: centres are taken as true positions, because OpenSfM adjusts in a "
             "topocentric frame"
         )
-        return None, positions
+        return None
     reference, relief, source = _reference(file, reading, written, ground)
-    scale = grid_scale(written.frame, positions, reference, relief)
-    if declared == "grid":
-        notes.append(f"{scale.sentence}; reference: {source}")
-        return scale, true_positions(written.frame, positions, scale)
-    _refuse_or_note(reading, written, scale, rows, ground, options, notes)
-    return None, positions
+    if declared is None:
+        _refuse_or_note(reading, written, reference, rows, ground, options, notes)
+        return None
+    try:
+        adjustment = space_from_grid_centres(written.frame, written.positions, reference)
+    except InputError as error:
+        raise named(error, reading.project_file, "photos.grid_reference_height") from error
+    ppm = (float(adjustment.effective_scale.mean()) - 1.0) * 1e6
+    notes.append(
+        f"centres come from an adjustment in the grid: their heights above {reference:.1f} m ({source}) were "
+        f"divided by the scale 1 {ppm:+.0f} ppm, which changes them by {adjustment.shift_m.mean():+.3f} m on "
+        f"average, known to ±{adjustment.uncertainty_m(relief):.3f} m"
+    )
+    return adjustment
 
 
 def _refuse_or_note(
     reading: Reading,
     written: WrittenOrientations,
-    scale: GridScale,
+    reference: float,
     rows: NDArray[np.int64],
     ground: GroundUnderBlock | None,
     options: RectifyOptions,
     notes: list[str],
 ) -> None:
-    size = float(np.abs(scale.change_m[rows]).max())
-    gsd = _gsd(written, ground, options)
-    limit = LARGEST_SHARE_OF_GSD * gsd
+    size = float(np.abs(grid_height_excess_m(written.frame, written.positions[rows], reference)).max())
+    limit = _LARGEST_SHARE_OF_GSD * _gsd(written, ground, options)
     if size > limit:
         rule = (
             f"must be given, because its two meanings, {_MEANINGS}, differ by {size:.3f} m in the heights of "
-            f"the centres, more than {LARGEST_SHARE_OF_GSD:g} GSD ({limit:.3f} m)"
+            f"the centres, more than {_LARGEST_SHARE_OF_GSD:g} GSD ({limit:.3f} m)"
         )
         raise reading.error("adjusted_in", rule)
     notes.append(
         f'adjusted_in is not given: centres are taken as true positions ("space"); had they been adjusted in '
-        f"the grid, they would be {size:.3f} m wrong in height, less than {LARGEST_SHARE_OF_GSD:g} GSD"
+        f"the grid, they would be {size:.3f} m wrong in height, less than {_LARGEST_SHARE_OF_GSD:g} GSD"
     )
 
 
@@ -103,25 +114,27 @@ def _gsd(written: WrittenOrientations, ground: GroundUnderBlock | None, options:
 def _reference(
     file: ProjectFile, reading: Reading, written: WrittenOrientations, ground: GroundUnderBlock | None
 ) -> tuple[float, float, str]:
-    """Ellipsoidal height the scale acts about, relief about it, and where it is from."""
+    """Height the scale acts about, in the heights of the centres; relief about it; where it is from."""
     relief = 0.0 if ground is None else ground.relief_m
     stated = file.photos.grid_reference_height
     if stated is not None:
-        middle = written.positions.mean(axis=0)
-        point = np.array([middle[0], middle[1], stated])
-        return float(written.frame.geodetic_from_map(point)[2]), relief, "grid_reference_height"
+        return stated, relief, "grid_reference_height"
+    middle = written.frame.geodetic_from_map(written.positions).mean(axis=0)
     if file.control is not None:
         mean, spread = _control_heights(file.control, reading)
-        return mean, max(relief, spread), "mean control height"
-    if ground is None:
+        source = "mean control height"
+        relief = max(relief, spread)
+    elif ground is not None:
+        mean, source = ground.mean_m, "mean terrain under the block"
+    else:
         rule = "must be given: without a height model and control nothing says where the grid has its scale"
         raise reading.error("grid_reference_height", rule)
-    return ground.mean_m, relief, "mean terrain under the block"
+    return float(written.frame.map_from_geodetic([middle[0], middle[1], mean])[2]), relief, source
 
 
 def _control_heights(section: ControlSection, reading: Reading) -> tuple[float, float]:
     """Mean and standard deviation of the ellipsoidal heights of the control points."""
-    table = read_orientation_table(reading.folder / Path(section.file), section.columns, section.separator)
+    table = read_orientation_table(reading.folder / section.file, section.columns, section.separator)
     heights = height_system(section.heights, reading.heights, reading, "control.heights")
     frame = map_frame(section.crs or reading.crs, heights, reading.project_file, "control.crs")
     points = frame.geodetic_from_map(np.array([row.values(MAP_COLUMNS) for row in table.rows]))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,31 +10,16 @@ from typing import Any
 import shapely
 
 from stereomate.coverage.survey import Survey
-from stereomate.errors import InputError, ProjectError
+from stereomate.errors import ProjectError
+from stereomate.frames.adjusted import GridAdjustment
 from stereomate.frames.mapframe import MapFrame
 from stereomate.frames.tangent import TangentFrame
-from stereomate.project.adjusted import GridScale
+from stereomate.project.compare import Comparison
 from stereomate.project.ground import GroundUnderBlock
+from stereomate.project.inputs import InputFile, PhotoProblem
 from stereomate.raster import RasterInfo
 from stereomate.rectify.options import RectifyOptions
 from stereomate.terrain.model import HeightModel
-
-
-@dataclass(frozen=True)
-class PhotoProblem:
-    """A photograph that cannot take part, and why."""
-
-    name: str
-    error: InputError
-
-
-@dataclass(frozen=True)
-class InputFile:
-    """A file the project reads. `digest` is the SHA-256 of it, of photographs that of their fingerprint."""
-
-    role: str
-    path: Path
-    digest: str
 
 
 @dataclass(frozen=True)
@@ -70,12 +54,16 @@ class Project:
         Products to cut the block into; empty for one.
     pairs : tuple of (str, str) or None
         Models to use, by names of photographs; None for all that serve.
-    grid_scale : GridScale or None
+    grid_adjustment : GridAdjustment or None
         How heights of centres from an adjustment in the grid were changed; None where they are as written.
     inputs : tuple of InputFile
         Every file that was read, but for the height model, whose hash is ``heights.content_hash``.
+    comparison : Comparison or None
+        Of the orientation with the one of ``[photos.compare]``.
     problems : tuple of PhotoProblem
         Photographs left out.
+    warnings : tuple of str
+        What works, but perhaps not as meant.
     notes : tuple of str
         What was assumed and found, for the report.
     document : mapping
@@ -92,9 +80,11 @@ class Project:
     area: shapely.Geometry | None
     sheets: tuple[Sheet, ...]
     pairs: tuple[tuple[str, str], ...] | None
-    grid_scale: GridScale | None
+    grid_adjustment: GridAdjustment | None
     inputs: tuple[InputFile, ...]
+    comparison: Comparison | None
     problems: tuple[PhotoProblem, ...]
+    warnings: tuple[str, ...]
     notes: tuple[str, ...]
     document: Mapping[str, Any]
 
@@ -119,23 +109,3 @@ class Project:
         if self.heights is None:
             raise ProjectError("must be given to make products", file=self.path, field="terrain")
         return self.heights
-
-
-def file_digest(path: Path) -> str:
-    """SHA-256 of a file, hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-_SAMPLE = 1 << 16
-
-
-def photo_fingerprint(path: Path) -> str:
-    """SHA-256 of the size and the first, middle and last 64 KiB: tells photographs apart at once."""
-    size = path.stat().st_size
-    digest = hashlib.sha256(str(size).encode())
-    with path.open("rb") as file:
-        for start in sorted({0, max(size // 2 - _SAMPLE // 2, 0), max(size - _SAMPLE, 0)}):
-            file.seek(start)
-            digest.update(file.read(_SAMPLE))
-    return digest.hexdigest()

@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 from typing import Final
 
 from stereomate.errors import ImageError, OrientationError, ProjectError
-from stereomate.project.model import PhotoProblem
+from stereomate.project.inputs import PhotoProblem
 from stereomate.raster import PhotoReader, RasterInfo, open_photo
 
 _END_OF_JPEG: Final = b"\xff\xd9"

@@ -1,0 +1,281 @@
+"""Everything that can be said about a project without computing it: what `stereomate check` prints."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from stereomate.coverage.footprints import Footprint
+from stereomate.coverage.pairs import Pair
+from stereomate.coverage.summary import Coverage, survey_coverage
+from stereomate.errors import CoverageError
+from stereomate.project.compare import Comparison
+from stereomate.project.model import Project
+from stereomate.rectify.job import RectifyJob
+from stereomate.rectify.planning import Request, plan_products
+from stereomate.terrain.model import HeightModel
+
+# Products much finer than the photographs only grow; the user should know.
+_FINEST_SHARE_OF_GSD = 0.5
+_FULLY_COVERED = 0.995
+
+
+@dataclass(frozen=True)
+class PhotoRow:
+    """One photograph."""
+
+    name: str
+    size_px: tuple[int, int]
+    bands: int
+    dtype: str
+    camera: str
+    gsd_m: float
+    height_above_ground_m: float
+    tilt_deg: float
+    covered: float
+
+
+@dataclass(frozen=True)
+class PairRow:
+    """One pair of overlapping photographs. `azimuth_deg` of its base, clockwise from grid north."""
+
+    first: str
+    second: str
+    overlap: float
+    base_m: float
+    base_height: float
+    azimuth_deg: float
+    serves: bool
+
+
+@dataclass(frozen=True)
+class TerrainRow:
+    """The height model."""
+
+    file: str
+    crs: str
+    heights: str
+    size: tuple[int, int]
+    resolution_m: float
+    lowest: float
+    highest: float
+    covered: float
+
+
+@dataclass(frozen=True)
+class ProductRow:
+    """One orthophoto with its stereomate, if it has one."""
+
+    name: str
+    files: tuple[str, ...]
+    size_px: tuple[int, int]
+    gsd: float
+    rotation_deg: float
+    bands: int
+    dtype: str
+    models: int
+    law: str
+    base_m: float | None
+    w0_m: float | None
+    reference_m: float | None
+    megabytes: float
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """What `check` found.
+
+    Attributes
+    ----------
+    problems : tuple of str
+        What is wrong: photographs left out, products that cannot be made.
+    warnings : tuple of str
+        What works, but perhaps not as meant.
+    notes : tuple of str
+        What was assumed.
+    """
+
+    project: str
+    file: str
+    crs: str
+    heights: str
+    tangent_origin: tuple[float, float, float]
+    photographs: tuple[PhotoRow, ...]
+    pairs: tuple[PairRow, ...]
+    terrain: TerrainRow | None
+    products: tuple[ProductRow, ...]
+    comparison: Comparison | None
+    problems: tuple[str, ...]
+    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def is_good(self) -> bool:
+        """Whether nothing is wrong."""
+        return not self.problems
+
+
+def check_project(project: Project) -> CheckReport:
+    """Coverage, pairs and products of a loaded project, with what is wrong or doubtful about them.
+
+    Raises
+    ------
+    CoverageError, OrientationError
+        If no photograph sees any ground.
+    """
+    problems = [str(problem.error) for problem in project.problems]
+    warnings = list(project.warnings)
+    heights = project.heights
+    ground = heights if heights is not None else _plane(project)
+    coverage = survey_coverage(project.survey, ground)
+    problems += [str(problem) for problem in coverage.problems]
+    jobs: list[RectifyJob] = []
+    if heights is None:
+        problems.append(f"{project.path}: terrain: must be given to make products")
+    else:
+        jobs = _jobs(project, heights, coverage, problems)
+    _doubts(project, coverage, jobs, warnings)
+    if project.comparison is not None and not project.comparison.is_same:
+        warnings.append(project.comparison.sentence)
+    tangent = project.tangent
+    return CheckReport(
+        project=project.name,
+        file=str(project.path),
+        crs=project.frame.name if project.frame.name != "unknown" else project.frame.crs,
+        heights=project.frame.heights.description,
+        tangent_origin=(tangent.longitude_deg, tangent.latitude_deg, tangent.height_m),
+        photographs=tuple(_photo_rows(project, coverage)),
+        pairs=tuple(_pair_row(pair, project) for pair in coverage.pairs),
+        terrain=None if heights is None else _terrain_row(heights, coverage),
+        products=tuple(_product_row(job) for job in jobs),
+        comparison=project.comparison,
+        problems=tuple(problems),
+        warnings=tuple(warnings),
+        notes=project.notes,
+    )
+
+
+def product_request(project: Project, *, stereo: bool = True) -> Request:
+    """What is asked of the planner: bands and type of the photographs unless the options say others."""
+    info = next(iter(project.infos.values()))
+    options = project.options
+    bands = info.colour_bands if options.bands is None else tuple(band - 1 for band in options.bands)
+    dtype = options.dtype or info.dtype.name
+    return Request(
+        stereo=stereo, pairs=project.pairs if stereo else None, area=project.area, bands=bands, dtype=dtype
+    )
+
+
+def _plane(project: Project) -> float:
+    raise CoverageError(
+        "needs a height model: without one nothing says where the ground is", file=project.path
+    )
+
+
+def _jobs(
+    project: Project, heights: HeightModel, coverage: Coverage, problems: list[str]
+) -> list[RectifyJob]:
+    """Jobs of the products; an orthophoto alone where no pair serves, which is said."""
+    try:
+        return plan_products(project.survey, heights, coverage, project.options, product_request(project))
+    except CoverageError as error:
+        problems.append(f"no stereomate: {error}")
+    try:
+        request = product_request(project, stereo=False)
+        return plan_products(project.survey, heights, coverage, project.options, request)
+    except CoverageError as error:
+        problems.append(f"no orthophoto: {error}")
+        return []
+
+
+def _doubts(project: Project, coverage: Coverage, jobs: list[RectifyJob], warnings: list[str]) -> None:
+    if project.heights is not None and coverage.covered < _FULLY_COVERED:
+        warnings.append(
+            f"the height model covers {coverage.covered:.1%} of the photographs; the rest stays empty"
+        )
+    gsd = project.options.gsd
+    if gsd is not None:
+        ratio = gsd * project.frame.unit_m / coverage.gsd_m
+        if ratio < _FINEST_SHARE_OF_GSD:
+            warnings.append(f"products.gsd = {gsd:g} is {1 / ratio:.1f} times finer than the photographs")
+    alone = {photo.name for photo in project.survey.photographs}
+    for pair in coverage.pairs:
+        alone -= set(pair.names)
+    if alone and len(project.survey.photographs) > 1:
+        warnings.append(f"{len(alone)} photographs overlap no other: {', '.join(sorted(alone)[:5])}")
+
+
+def _photo_rows(project: Project, coverage: Coverage) -> list[PhotoRow]:
+    rows = []
+    for photo, footprint in zip(project.survey.photographs, coverage.footprints, strict=True):
+        info = project.infos[photo.name]
+        rows.append(
+            PhotoRow(
+                name=photo.name,
+                size_px=info.size,
+                bands=info.bands,
+                dtype=info.dtype.name,
+                camera=photo.camera.name,
+                gsd_m=_of(footprint, "gsd_m"),
+                height_above_ground_m=_of(footprint, "height_above_ground_m"),
+                tilt_deg=_of(footprint, "tilt_deg"),
+                covered=0.0 if footprint is None else footprint.covered,
+            )
+        )
+    return rows
+
+
+def _of(footprint: Footprint | None, name: str) -> float:
+    return math.nan if footprint is None else float(getattr(footprint, name))
+
+
+def _pair_row(pair: Pair, project: Project) -> PairRow:
+    options = project.options
+    serves = options.min_base_height <= pair.base_height <= options.max_base_height
+    return PairRow(
+        *pair.names,
+        overlap=pair.overlap,
+        base_m=pair.base_m,
+        base_height=pair.base_height,
+        azimuth_deg=pair.azimuth_deg,
+        serves=serves,
+    )
+
+
+def _terrain_row(heights: HeightModel, coverage: Coverage) -> TerrainRow:
+    rows, columns = heights.shape
+    return TerrainRow(
+        file=heights.name,
+        crs=heights.frame.name,
+        heights=heights.frame.heights.description,
+        size=(columns, rows),
+        resolution_m=heights.resolution_m,
+        lowest=heights.min,
+        highest=heights.max,
+        covered=coverage.covered,
+    )
+
+
+def _product_row(job: RectifyJob) -> ProductRow:
+    columns, rows = job.grid.size
+    ortho = f"ortho{job.name}.tif"
+    files = (ortho, f"mate{job.name}.tif") if job.is_stereo else (ortho,)
+    overviews = 4.0 / 3.0 if job.options.overviews else 1.0
+    size = columns * rows * len(job.bands) * job.dtype.itemsize * len(files) * overviews
+    stereo = job.is_stereo
+    return ProductRow(
+        name=Path(ortho).stem,
+        files=files,
+        size_px=job.grid.size,
+        gsd=job.grid.gsd,
+        rotation_deg=-math.degrees(job.grid.rotation) + 0.0,
+        bands=len(job.bands),
+        dtype=job.dtype.name,
+        models=sum(model.right >= 0 for model in job.models),
+        law=job.law.kind,
+        base_m=job.law.base_m if stereo else None,
+        w0_m=job.law.w0_m if stereo else None,
+        reference_m=job.law.reference_m if stereo else None,
+        megabytes=size / 1e6,
+    )
