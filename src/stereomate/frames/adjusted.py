@@ -80,7 +80,9 @@ def space_from_grid_centres(
     tau_e = effective_scale_at(frame, delivered[..., :2], grid_reference_height)
     shift = above / tau_e - above
     delivered[..., 2] += shift
-    return GridAdjustment(delivered, tau_e, shift * _unit_m(frame, delivered), float(grid_reference_height))
+    return GridAdjustment(
+        delivered, tau_e, shift * frame.heights.metres_per_unit, float(grid_reference_height)
+    )
 
 
 def grid_from_space_centres(frame: MapFrame, centres: ArrayLike, grid_reference_height: float) -> Array:
@@ -99,7 +101,7 @@ def grid_height_excess_m(frame: MapFrame, centres: ArrayLike, grid_reference_hei
     points = np.asarray(centres, dtype=np.float64)
     tau_e = effective_scale_at(frame, points[..., :2], grid_reference_height)
     above = points[..., 2] - grid_reference_height
-    excess: Array = (above - above / tau_e) * _unit_m(frame, points)
+    excess: Array = (above - above / tau_e) * frame.heights.metres_per_unit
     return excess
 
 
@@ -111,13 +113,3 @@ def effective_scale_at(frame: MapFrame, xy: ArrayLike, height: float) -> Array:
     tau, _ = grid_factors_geodetic(frame.crs, lon, lat)
     datum = frame.geodetic
     return effective_scale(tau, h, gauss_radius(datum.semi_major_m, datum.flattening, lat))
-
-
-def _unit_m(frame: MapFrame, points: Array) -> float:
-    """Metres per unit of the frame's heights, from two heights over the first point."""
-    if frame.heights.kind != "vertical_crs":
-        return frame.heights.unit_m
-    first = points.reshape(-1, 3)[:1]
-    pair = np.concatenate([first, first + np.array([0.0, 0.0, 1000.0])])
-    h = frame.geodetic_from_map(pair)[:, 2]
-    return float((h[1] - h[0]) / 1000.0)

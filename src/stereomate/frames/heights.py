@@ -110,6 +110,13 @@ class HeightSystem:
             return "undeclared: one unknown common system, taken as it is"
         return "ellipsoidal heights"
 
+    @property
+    def metres_per_unit(self) -> float:
+        """Metres per unit of height, also of a vertical CRS."""
+        if self.kind == "vertical_crs":
+            return float(parse(self.reference).axis_info[0].unit_conversion_factor)
+        return self.unit_m
+
     def ellipsoidal_from_system(
         self, lon: ArrayLike, lat: ArrayLike, h: ArrayLike, geodetic: Geodetic | None = None
     ) -> Array:

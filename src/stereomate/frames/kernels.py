@@ -131,3 +131,46 @@ def grid_values(
         top = values[row, col] * (1.0 - fu) + values[row, col + 1] * fu
         bottom = values[row + 1, col] * (1.0 - fu) + values[row + 1, col + 1] * fu
         out[i] = top * (1.0 - fv) + bottom * fv
+
+
+@inline_kernel
+def image_point(
+    x: float, y: float, z: float, photo: int, centres: Array, rotations: Array, c: float
+) -> tuple[float, float]:
+    """Image coordinates of an object point in a photograph; NaN if it is not before the camera."""
+    x -= centres[photo, 0]
+    y -= centres[photo, 1]
+    z -= centres[photo, 2]
+    r = rotations[photo]
+    depth = r[0, 2] * x + r[1, 2] * y + r[2, 2] * z
+    if not depth < 0.0:
+        return math.nan, math.nan
+    s = -c / depth
+    return s * (r[0, 0] * x + r[1, 0] * y + r[2, 0] * z), s * (r[0, 1] * x + r[1, 1] * y + r[2, 1] * z)
+
+
+@kernel
+def collinearity_difference(
+    grid_points: Array,
+    true_points: Array,
+    point_of: NDArray[np.int64],
+    photo_of: NDArray[np.int64],
+    grid_centres: Array,
+    grid_rotations: Array,
+    true_centres: Array,
+    true_rotations: Array,
+    principal_distances: Array,
+    out: Array,
+) -> None:
+    """Image coordinates in the grid minus those in space, (n, 2), for observations of points in
+    photographs."""
+    for i in range(point_of.size):
+        k, p = point_of[i], photo_of[i]
+        c = principal_distances[p]
+        gx, gy = image_point(
+            grid_points[k, 0], grid_points[k, 1], grid_points[k, 2], p, grid_centres, grid_rotations, c
+        )
+        tx, ty = image_point(
+            true_points[k, 0], true_points[k, 1], true_points[k, 2], p, true_centres, true_rotations, c
+        )
+        out[i, 0], out[i, 1] = gx - tx, gy - ty

@@ -131,14 +131,7 @@ def _height_model_position(
     scale = 1.0
     if dem_frame is not None and dem_frame != frame:
         dem = map_from_map(dem_frame, frame, points)
-        if dem_frame.heights.kind != "vertical_crs" and frame.heights.kind != "vertical_crs":
-            scale = dem_frame.heights.unit_m / frame.heights.unit_m
-        else:
-            higher = points + np.array([0.0, 0.0, _UNIT_HEIGHT])
-            rise = map_from_map(dem_frame, frame, higher)[0, 0, 2] - dem[0, 0, 2]
-            # Units of length differ by whole factors; what is left is rounding and the slope of a datum
-            # change.
-            scale = 1.0 if abs(rise / _UNIT_HEIGHT - 1.0) < 1e-4 else _UNIT_HEIGHT / rise
+        scale = dem_frame.heights.metres_per_unit / frame.heights.metres_per_unit
         dem[..., 2] = points[..., 2] - scale * dem[..., 2]
     if dem_affine is not None:
         a, b, c, d, e, f = dem_affine
