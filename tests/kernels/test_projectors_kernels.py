@@ -24,8 +24,8 @@ def test_vertical_pair():
     kernels.measure(left, right, setting, points, jacobian)
     np.testing.assert_allclose(points[0], [0.0, 0.0, 600.0, -1200.0], atol=1e-9)
     np.testing.assert_allclose(points[1], [-12.0, 240.0, 6.0, -1200.0], atol=1e-9)
-    # by, bz, ω, φ, κ of the left projector at a point 600 m aside and 1200 m below it.
+    # by, bz, ω, φ, κ of the left, of the right projector at a point 600 m aside and 1200 m below it.
     np.testing.assert_allclose(jacobian[0, :5], [1.0, 0.5, 1500.0, 0.0, 0.0], atol=1e-9)
-    np.testing.assert_allclose(jacobian[0, 5:], [-1.0, -0.5, -1500.0, 300.0, 600.0], atol=1e-9)
+    np.testing.assert_allclose(jacobian[0, 5:], [-1.0, -0.5, -1500.0, -300.0, 600.0], atol=1e-9)
     assert np.isnan(points[2]).all()
     assert np.isnan(jacobian[2]).all()
