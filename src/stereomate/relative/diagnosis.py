@@ -1,0 +1,306 @@
+"""Whether the points determine the orientation: the geometry behind the numbers.
+
+Looked at: standard deviations of the elements, points in one line, no parallax (pure rotation), a plane,
+distance from the critical cylinder, and any other orientation that fits the same points as well.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from stereomate.errors import InputError
+from stereomate.geometry.rotations import rotation_from_vector
+from stereomate.relative.coplanarity import CoplanarityAdjustment
+from stereomate.relative.kernels.alternatives import other_minimum
+from stereomate.relative.pair import Correspondences, RelativePose
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DiagnosisOptions:
+    """When an orientation counts as not determined.
+
+    Parameters
+    ----------
+    largest_standard_deviation_deg : float
+        Of the base direction and the rotation, in any direction.
+    ambiguity : float
+        Another orientation is as good if its square sum is larger by less than this (in variances).
+    points : int
+        Points looked at, chosen evenly.
+    samples : int
+        Five-point problems in the search for another orientation.
+    significance : float
+        Probability of calling noise a parallax.
+    """
+
+    largest_standard_deviation_deg: float = 2.0
+    ambiguity: float = 25.0
+    points: int = 300
+    samples: int = 15
+    significance: float = 1e-4
+
+    def __post_init__(self) -> None:
+        if not self.largest_standard_deviation_deg > 0.0:
+            raise InputError("must be positive", field="largest_standard_deviation_deg")
+        if self.points < 5 or self.samples < 1:
+            raise InputError("points must be at least 5 and samples at least 1", field="points, samples")
+
+
+@dataclass(frozen=True)
+class CriticalCylinder:
+    """Circle through both centres' axis that fits the points best, seen along the base.
+
+    In the cross-section perpendicular to the base, y is across and z depth (positive away from the cameras).
+    On the circle y² + z² is linear in y and z, the y-parallax of a tilt is that of other elements, and the
+    tilt is not determined (Kasper's critical circle; in space the critical cylinder).
+
+    Parameters
+    ----------
+    centre : (float, float)
+        y and z of its axis, in units of the base.
+    radius : float
+        In units of the base.
+    distance : float
+        Root mean square distance of the points from it over their mean depth; 0 is critical.
+    """
+
+    centre: tuple[float, float]
+    radius: float
+    distance: float
+
+
+@dataclass(frozen=True)
+class GeometryDiagnosis:
+    """What the arrangement of the points allows.
+
+    Parameters
+    ----------
+    reasons : tuple of str
+        Why the orientation is not determined; empty if it is.
+    largest_standard_deviation_deg : float
+        Of base direction and rotation together, in the worst direction of the five.
+    cofactor_omega : float
+        Variance of omega of the dependent pair (rad²) for a closure of one sigma: the strength of the tilt.
+    inflation_omega : float
+        Factor on the standard deviation of omega because the other elements are unknown too.
+    critical_cylinder : CriticalCylinder
+    flatness : float
+        Root mean square distance of the points from a plane over their mean depth.
+    planar : bool
+        The points lie on one plane within their noise.
+    parallax_ratio : float
+        Root mean square residual of a pure rotation over the noise; near 1 there is no base.
+    alternatives : tuple of RelativePose
+        Other orientations that fit as well.
+    """
+
+    reasons: tuple[str, ...]
+    largest_standard_deviation_deg: float
+    cofactor_omega: float
+    inflation_omega: float
+    critical_cylinder: CriticalCylinder
+    flatness: float
+    planar: bool
+    parallax_ratio: float
+    alternatives: tuple[RelativePose, ...]
+
+
+def diagnose(
+    adjustment: CoplanarityAdjustment, options: DiagnosisOptions | None = None, seed: int = 0
+) -> GeometryDiagnosis:
+    """Judge the geometry of an adjusted orientation.
+
+    Noise is taken as the larger of the prior and the estimated standard deviation.
+    """
+    options = options or DiagnosisOptions()
+    pose = adjustment.pose
+    used = np.flatnonzero(adjustment.weights > 0.0)
+    if len(used) > options.points:
+        used = used[np.linspace(0, len(used) - 1, options.points).astype(int)]
+    chosen = adjustment.correspondences.select(used)
+    noise = max(1.0, adjustment.sigma0 if math.isfinite(adjustment.sigma0) else 1.0)
+    variances = _variances(chosen, noise)
+    reasons: list[str] = []
+
+    worst = math.inf
+    if not adjustment.singular:
+        worst = math.degrees(math.sqrt(float(np.linalg.eigvalsh(adjustment.cofactor)[-1])) * noise)
+    if _on_a_line(chosen, variances):
+        reasons.append("the points lie on one line in a photograph")
+    elif not worst <= options.largest_standard_deviation_deg:
+        reasons.append(
+            "the points do not determine the elements: "
+            + ("singular normal equations" if adjustment.singular else f"standard deviation {worst:.1f}°")
+        )
+    ratio, no_parallax = _pure_rotation(chosen, variances, options)
+    if no_parallax:
+        reasons.append("no parallax: the photographs differ by a rotation only, the base is unknown")
+
+    model = model_points(pose, chosen)
+    depth = float(np.mean(np.abs(model[:, 2]))) or 1.0
+    flatness, plane_limit = _flatness(model, depth, variances)
+    alternatives = _alternatives(chosen, pose, variances, options, seed)
+    if alternatives and not no_parallax:
+        kind = (
+            "the points lie on one plane" if flatness < plane_limit else "critical arrangement of the points"
+        )
+        reasons.append(f"{kind}: another orientation fits them as well")
+    omega, inflation = _strength_of_omega(adjustment)
+    return GeometryDiagnosis(
+        tuple(reasons),
+        worst,
+        omega,
+        inflation,
+        critical_cylinder(model),
+        flatness,
+        bool(flatness < plane_limit),
+        ratio,
+        alternatives,
+    )
+
+
+def model_points(pose: RelativePose, correspondences: Correspondences) -> Array:
+    """Points of the model where the rays come closest, seen along the base; shape (n, 3), in bases.
+
+    x along the base, z depth away from the cameras in the mean viewing direction, y = z × x.
+    """
+    left = np.column_stack([correspondences.left, -np.ones(len(correspondences))])
+    right = np.column_stack([correspondences.right, -np.ones(len(correspondences))])
+    right = right @ pose.left_from_right.T
+    a, c = np.einsum("ij,ij->i", left, left), np.einsum("ij,ij->i", right, right)
+    d = np.einsum("ij,ij->i", left, right)
+    lb, rb = left @ pose.base, right @ pose.base
+    sine2 = np.maximum(a * c - d * d, 1e-300)
+    near_left, near_right = (c * lb - d * rb) / sine2, (d * lb - a * rb) / sine2
+    middle = 0.5 * (left * near_left[:, None] + pose.base + right * near_right[:, None])
+    view = -(np.array([0.0, 0.0, 1.0]) + pose.left_from_right[:, 2])
+    view = view - (view @ pose.base) * pose.base
+    length = float(np.linalg.norm(view))
+    if length < 1e-9:
+        # Cameras looking along the base: any direction across serves as depth.
+        view = np.cross(pose.base, np.array([0.0, 1.0, 0.0]))
+        length = float(np.linalg.norm(view))
+    down = view / length
+    axes = np.stack([pose.base, np.cross(down, pose.base), down])
+    points: Array = middle @ axes.T
+    return points
+
+
+def critical_cylinder(model: Array) -> CriticalCylinder:
+    """Circle through the base's axis fitted to model points (n, 3) of `model_points`."""
+    y, z = model[:, 1], model[:, 2]
+    depth = float(np.mean(np.abs(z))) or 1.0
+    design = np.column_stack([y, z]) / depth
+    solution = np.linalg.lstsq(design, (y * y + z * z) / depth, rcond=None)[0]
+    centre = solution / 2.0
+    radius = float(np.hypot(*centre))
+    distance = np.hypot(y - centre[0], z - centre[1]) - radius
+    return CriticalCylinder(
+        (float(centre[0]), float(centre[1])), radius, float(np.sqrt(np.mean(distance**2))) / depth
+    )
+
+
+def _variances(c: Correspondences, noise: float) -> tuple[float, float]:
+    left, right = (
+        float(np.median(v[:, 0] + v[:, 2])) / 2.0 * noise**2 for v in (c.left_covariance, c.right_covariance)
+    )
+    return left, right
+
+
+def _on_a_line(c: Correspondences, variances: tuple[float, float]) -> bool:
+    for points, variance in ((c.left, variances[0]), (c.right, variances[1])):
+        across = float(np.linalg.eigvalsh(np.cov(points.T))[0])
+        if across < 25.0 * variance + 1e-18:
+            return True
+    return False
+
+
+def _pure_rotation(
+    c: Correspondences, variances: tuple[float, float], options: DiagnosisOptions
+) -> tuple[float, bool]:
+    """Root mean square residual of a rotation alone over the noise, and whether it explains the points."""
+    left = np.column_stack([c.left, -np.ones(len(c))])
+    right = np.column_stack([c.right, -np.ones(len(c))])
+    u, _, v = np.linalg.svd((left / np.sum(left**2, axis=1, keepdims=True)).T @ right)
+    rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v
+    variance = variances[0] + variances[1]
+    residual = c.left
+    # Two Gauss-Newton steps from directions to photo coordinates.
+    for _ in range(2):
+        turned = right @ rotation.T
+        scale = -1.0 / turned[:, 2]
+        x, y = turned[:, 0] * scale, turned[:, 1] * scale
+        residual = c.left - np.column_stack([x, y])
+        by_x = np.column_stack([x * y, -(1.0 + x * x), -y])
+        by_y = np.column_stack([1.0 + y * y, -x * y, x])
+        step = np.linalg.lstsq(np.vstack([by_x, by_y]), residual.T.ravel(), rcond=None)[0]
+        rotation = rotation_from_vector(step) @ rotation
+    turned = right @ rotation.T
+    residual = c.left + turned[:, :2] / turned[:, 2:]
+    total = float(np.sum(residual**2)) / variance
+    freedom = 2 * len(c) - 3
+    return math.sqrt(total / freedom), total < float(chi2.isf(options.significance, freedom))
+
+
+def _flatness(model: Array, depth: float, variances: tuple[float, float]) -> tuple[float, float]:
+    """Distance of the points from their plane over the mean depth, and what noise alone would make of it."""
+    centred = model - model.mean(axis=0)
+    scatter = np.linalg.svd(centred, compute_uv=False) / math.sqrt(len(model))
+    # Depth from parallax: dz = z²/b dp.
+    noise = depth * math.sqrt(variances[0] + variances[1])
+    return float(scatter[-1]) / depth, 3.0 * noise
+
+
+def _alternatives(
+    c: Correspondences,
+    pose: RelativePose,
+    variances: tuple[float, float],
+    options: DiagnosisOptions,
+    seed: int,
+) -> tuple[RelativePose, ...]:
+    state = np.array([(seed + 1) * 0x9E3779B97F4A7C15 % 2**64 | 1], dtype=np.uint64)
+    base, rotation = np.zeros(3), np.zeros((3, 3))
+    total, _share = other_minimum(
+        c.left,
+        c.right,
+        variances[0],
+        variances[1],
+        options.samples,
+        state,
+        np.array(pose.base),
+        np.array(pose.left_from_right),
+        base,
+        rotation,
+    )
+    if not math.isfinite(total):
+        return ()
+    from_here = _square_sum(c, pose, variances)
+    return (RelativePose(base, rotation),) if total - from_here < options.ambiguity else ()
+
+
+def _square_sum(c: Correspondences, pose: RelativePose, variances: tuple[float, float]) -> float:
+    left = np.column_stack([c.left, -np.ones(len(c))])
+    right = np.column_stack([c.right, -np.ones(len(c))])
+    by_left, by_right = right @ pose.essential.T, left @ pose.essential
+    closure = np.einsum("ij,ij->i", left, by_left)
+    variance = variances[0] * np.sum(by_left[:, :2] ** 2, axis=1)
+    variance = variance + variances[1] * np.sum(by_right[:, :2] ** 2, axis=1)
+    return float(np.sum(closure**2 / variance))
+
+
+def _strength_of_omega(adjustment: CoplanarityAdjustment) -> tuple[float, float]:
+    """Cofactor of omega, and the root of its variance inflation by the other elements."""
+    if adjustment.singular or abs(adjustment.pose.base[0]) < 1e-6:
+        return math.inf, math.inf
+    cofactor = adjustment.dependent().covariance / (
+        adjustment.sigma0**2 if adjustment.redundancy > 0 and adjustment.sigma0 > 0.0 else 1.0
+    )
+    normal = np.linalg.inv(cofactor)
+    return float(cofactor[2, 2]), math.sqrt(max(float(cofactor[2, 2] * normal[2, 2]), 1.0))

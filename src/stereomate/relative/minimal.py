@@ -1,0 +1,57 @@
+"""The five-point problem: every relative orientation that five pairs of rays allow."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stereomate.errors import InputError
+from stereomate.relative.kernels.five_point import MAX_SOLUTIONS
+from stereomate.relative.kernels.five_point import five_point as five_point_kernel
+from stereomate.relative.kernels.pose import choose_arrangement, pose_from_essential
+from stereomate.relative.pair import RelativePose
+
+
+def five_point(left: ArrayLike, right: ArrayLike, in_front: int = 5) -> tuple[RelativePose, ...]:
+    """Relative orientations through five pairs of rays, tested by cheirality.
+
+    Parameters
+    ----------
+    left, right : array_like, shape (5, 2)
+        Photo coordinates over the principal distance, x right, y up.
+    in_front : int
+        How many of the five points must lie before both cameras.
+
+    Returns
+    -------
+    tuple of RelativePose
+        At most ten; of the four arrangements of each the one with most points in front.
+
+    Raises
+    ------
+    InputError
+        If the arrays are not five finite points each.
+
+    Notes
+    -----
+    D. Nistér, "An efficient solution to the five-point relative pose problem", PAMI 26 (2004).
+    """
+    rays = []
+    for name, given in (("left", left), ("right", right)):
+        points = np.asarray(given, dtype=np.float64)
+        if points.shape != (5, 2) or not np.isfinite(points).all():
+            raise InputError("must be five finite points, shape (5, 2)", field=name, value=points.shape)
+        rays.append(np.ascontiguousarray(np.column_stack([points, -np.ones(5)])))
+    essentials = np.empty((MAX_SOLUTIONS, 9))
+    everything = np.ones(5, dtype=np.bool_)
+    poses = []
+    for k in range(five_point_kernel(rays[0], rays[1], essentials)):
+        base, first, second, rotation = np.empty(3), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+        if not pose_from_essential(essentials[k], base, first, second):
+            continue
+        front = choose_arrangement(
+            rays[0][:, :2].copy(), rays[1][:, :2].copy(), everything, base, first, second, rotation
+        )
+        if front >= in_front:
+            poses.append(RelativePose(base, rotation))
+    return tuple(poses)
