@@ -181,7 +181,7 @@ class GridBlock:
             ("point_of", point_index, len(points)),
             ("photo_of", photo_index, len(self.centres)),
         ):
-            if index.size and not (0 <= int(index.min()) and int(index.max()) < count):
+            if index.size and not (int(index.min()) >= 0 and int(index.max()) < count):
                 raise InputError(f"must index {count} of them", field=name, value=int(index.max()))
         out = np.empty((point_index.size, 2))
         kernels.collinearity_difference(
