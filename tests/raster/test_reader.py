@@ -220,3 +220,26 @@ def test_limits_come_from_the_environment_and_govern_gdal(monkeypatch):
         assert rasterio.env.get_gdal_config("GDAL_NUM_THREADS") == 1
     finally:
         configure(before)
+
+
+def test_pixels_come_into_a_buffer_that_is_used_again(tiled, pixels):
+    buffer = np.empty(300 * 300 * 3, np.uint8)
+    with open_photo(tiled) as photo:
+        part, _ = photo.read_window(10, 20, 200, 100, out=buffer)
+        assert np.shares_memory(part, buffer)
+        np.testing.assert_array_equal(part, pixels[20:120, 10:210])
+        too_small, _ = photo.read_window(0, 0, *SIZE, out=np.empty(5, np.uint8))
+        np.testing.assert_array_equal(too_small, pixels)
+
+
+@pytest.mark.parametrize("dtype", ["uint16", "float32"])
+@pytest.mark.parametrize("bands", [1, 2, 3, 4])
+def test_large_windows_of_any_type_are_read_slab_by_slab(tmp_path, monkeypatch, dtype, bands):
+    from stereomate.raster import handles
+
+    monkeypatch.setattr(handles, "_SLAB_BYTES", 5000)
+    image = np.random.default_rng(2).integers(0, 2000, (203, 301, bands)).astype(dtype)
+    path = write(tmp_path / "photo.tif", image, tiled=True, blockxsize=32, blockysize=16)
+    with open_photo(path) as photo:
+        part, _ = photo.read_window(7, 9, 280, 190)
+    np.testing.assert_array_equal(part, image[9:199, 7:287])

@@ -7,9 +7,8 @@ import threading
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-import numpy as np
 import rasterio
 from numpy.typing import NDArray
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
@@ -17,8 +16,12 @@ from rasterio.windows import Window as GdalWindow
 
 from stereomate.errors import ImageError
 from stereomate.raster import settings
-from stereomate.raster.info import dtype_of
+from stereomate.raster.kernels import interleave
+from stereomate.raster.scratch import SCRATCH
 from stereomate.raster.windows import Window
+
+_SLAB_BYTES: Final = 2 * 1024**2
+_LARGEST_SLAB_BYTES: Final = 32 * 1024**2
 
 
 class Handles:
@@ -77,13 +80,31 @@ def reading(path: Path) -> Iterator[None]:
         raise ImageError(f"cannot be read: {cause}", file=path, hint="is the file complete?") from error
 
 
-def read_pixels(path: Path, handle: Any, window: Window) -> NDArray[Any]:
-    """All bands of a window, shape (rows, cols, bands), C-contiguous."""
-    pixels = np.empty((window.rows, window.cols, handle.count), dtype_of(path, handle))
-    with reading(path):
-        # GDAL writes through the strides: interleaved by pixel without a second copy.
-        handle.read(window=gdal_window(window), out=pixels.transpose(2, 0, 1))
-    return pixels
+def read_pixels(path: Path, handle: Any, window: Window, out: NDArray[Any]) -> None:
+    """All bands of a window, into `out` of shape (rows, cols, bands), C-contiguous."""
+    block_bytes = min(handle.block_shapes[0][0], handle.height) * window.cols * handle.count * out.itemsize
+    if handle.count == 1 or block_bytes > _LARGEST_SLAB_BYTES:
+        with reading(path):
+            handle.read(window=gdal_window(window), out=out.transpose(2, 0, 1))
+        return
+    # GDAL interleaves bands four times slower than the kernel does; in slabs the planes stay in the cache.
+    for slab in _slabs(handle, window, out.itemsize):
+        planes = SCRATCH.array("planes", (handle.count, slab.rows, slab.cols), out.dtype)
+        with reading(path):
+            handle.read(window=gdal_window(slab), out=planes)
+        interleave(planes, out[slab.row0 - window.row0 : slab.row1 - window.row0])
+
+
+def _slabs(handle: Any, window: Window, itemsize: int) -> Iterator[Window]:
+    """Parts of a window, from left to right edge, that end where blocks do: no block is decoded twice."""
+    block_rows = min(handle.block_shapes[0][0], handle.height)
+    block_bytes = block_rows * window.cols * handle.count * itemsize
+    step = block_rows * max(1, _SLAB_BYTES // block_bytes)
+    row = window.row0
+    while row < window.row1:
+        end = min((row // step + 1) * step, window.row1)
+        yield Window(window.col0, row, window.cols, end - row)
+        row = end
 
 
 def gdal_window(window: Window) -> Any:

@@ -6,6 +6,7 @@ windows are read side by side. Formats without windows are decoded once into a s
 
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path
 from types import TracebackType
@@ -73,18 +74,23 @@ class PhotoReader:
         """Whether a window can be read without decoding the rest."""
         return self.info.is_windowed
 
-    def read_window(self, col0: int, row0: int, cols: int, rows: int) -> tuple[NDArray[Any], Window]:
+    def read_window(
+        self, col0: int, row0: int, cols: int, rows: int, out: NDArray[Any] | None = None
+    ) -> tuple[NDArray[Any], Window]:
         """Pixels of a window, clamped to the image.
 
         Parameters
         ----------
         col0, row0, cols, rows : int
             The window wanted; may reach beyond the image.
+        out : ndarray, optional
+            A one-dimensional buffer of the photograph's type, to be used again from call to call. If it
+            is large enough, the pixels are a view of its beginning.
 
         Returns
         -------
         pixels : ndarray, shape (rows, cols, bands)
-            C-contiguous; read-only when it is the whole of a cached image. Empty where nothing is inside.
+            C-contiguous. Empty where nothing is inside.
         window : Window
             The window that was read.
 
@@ -94,14 +100,20 @@ class PhotoReader:
             If the file is damaged there.
         """
         window = Window(col0, row0, cols, rows).clamped(self.size)
+        shape = (window.rows, window.cols, self.bands)
+        count = math.prod(shape)
+        if out is not None and out.size >= count and out.dtype == self.dtype:
+            pixels = out[:count].reshape(shape)
+        else:
+            pixels = np.empty(shape, self.dtype)
         if window.is_empty:
-            return np.empty((window.rows, window.cols, self.bands), self.dtype), window
-        if not self.is_windowed:
-            whole = self._whole()
-            part = whole[window.row0 : window.row1, window.col0 : window.col1]
-            return np.ascontiguousarray(part), window
-        with self._handles.lend() as handle:
-            return read_pixels(self.path, handle, window), window
+            return pixels, window
+        if self.is_windowed:
+            with self._handles.lend() as handle:
+                read_pixels(self.path, handle, window, pixels)
+        else:
+            pixels[...] = self._whole()[window.row0 : window.row1, window.col0 : window.col1]
+        return pixels, window
 
     def read_mask(self, col0: int, row0: int, cols: int, rows: int) -> tuple[NDArray[np.bool_], Window]:
         """Which pixels of a window are valid: from the mask, alpha or nodata of the file, else all.
@@ -144,8 +156,10 @@ class PhotoReader:
         def decode() -> NDArray[Any]:
             if self.info.driver == "PNG":
                 _require_png_end(self.path)
+            whole = np.empty((self.size[1], self.size[0], self.bands), self.dtype)
             with self._handles.lend() as handle:
-                return read_pixels(self.path, handle, Window(0, 0, *self.size))
+                read_pixels(self.path, handle, Window(0, 0, *self.size), whole)
+            return whole
 
         return DECODED.get(_cache_key(self.path), decode)
 

@@ -35,10 +35,10 @@ from stereomate.raster.cog.layout import (
     tiles_of_window,
 )
 from stereomate.raster.cog.profile import CogProfile
-from stereomate.raster.cog.scratch import SCRATCH
 from stereomate.raster.cog.statistics import BandStatistics, merged
 from stereomate.raster.cog.tags import Directory, Tag, header_bytes, header_size
 from stereomate.raster.files import replacing, storing, write_all
+from stereomate.raster.scratch import SCRATCH
 
 _CLASSIC_LIMIT: Final = 2**32 - 1
 _SPOOL_BYTES: Final = 16 * 1024**2

@@ -14,8 +14,8 @@ from stereomate.raster.cog.blob import BlobHeader
 from stereomate.raster.cog.codecs import bound_of, encode_full_mask, encode_mask, encode_tile, pack, unpack
 from stereomate.raster.cog.layout import Layout, chunk_levels, overview_count
 from stereomate.raster.cog.profile import CogProfile
-from stereomate.raster.cog.scratch import SCRATCH
 from stereomate.raster.cog.statistics import statistics_of
+from stereomate.raster.scratch import SCRATCH
 
 _NO_MASK = np.empty((0, 0), np.uint8)
 

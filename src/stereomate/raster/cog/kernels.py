@@ -37,7 +37,9 @@ def halve_integers(src: Image, valid: Bytes, masked: bool, sums: Image, out: Ima
                 sums[i] = upper[i] + sums.dtype.type(lower[i])
             _halve_sums(sums, cols, bands, out[r])
         elif state == 0:
-            out[r, :, :] = 0
+            for c in range(out.shape[1]):
+                for b in range(bands):
+                    out[r, c, b] = 0
         else:
             _halve_masked_integers(
                 upper, lower, valid[2 * r], valid[min(2 * r + 1, rows - 1)], cols, bands, out[r]
@@ -161,8 +163,12 @@ def take_differences(src: Image, row0: int, col0: int, out: Image) -> None:
         shifted, differences = source[bands:], target[bands:]
         for i in range(width - bands):
             differences[i] = shifted[i] - source[i]
-        target[width:] = 0
-    out2[rows:] = 0
+        for i in range(width, target.shape[0]):
+            target[i] = 0
+    for r in range(rows, out.shape[0]):
+        target = out2[r]
+        for i in range(target.shape[0]):
+            target[i] = 0
 
 
 @kernel
@@ -208,8 +214,11 @@ def fill_tile(
         for c in range(cols, out.shape[1]):
             for b in range(bands):
                 out[r, c, b] = out[r, cols - 1, b]
+    out2 = out.reshape(out.shape[0], out.shape[1] * bands)
     for r in range(rows, out.shape[0]):
-        out[r] = out[rows - 1]
+        source, target = out2[rows - 1], out2[r]
+        for i in range(source.shape[0]):
+            target[i] = source[i]
 
 
 @kernel

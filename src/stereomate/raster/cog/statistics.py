@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from stereomate.raster.cog import kernels
 from stereomate.raster.cog.profile import CogProfile
-from stereomate.raster.cog.scratch import SCRATCH
+from stereomate.raster.scratch import SCRATCH
 
 # Sums over the rows of a chunk (at most 32768 of them) of one sample of each row, and of its square.
 _ACCUMULATORS: Final = {"uint8": np.uint32, "uint16": np.int64, "int16": np.int64}
