@@ -24,6 +24,7 @@ from stereomate.errors import StereomateError
 COMMANDS: Final = (
     "init",
     "check",
+    "run",
 )
 
 # Global options may stand before or after the command; the value says whether an argument follows.

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import shapely
 
 from stereomate.camera.distortion import (
     BrownDistortion,
@@ -29,6 +30,9 @@ from stereomate.frames.orientation import ExteriorOrientation
 from stereomate.frames.tangent import TangentFrame
 from stereomate.rectify.grid import ProductGrid
 from stereomate.rectify.layout import StereoModel
+from stereomate.terrain.breaklines import BurnedSurface, SurfaceFeature
+from stereomate.terrain.model import HeightModel
+from stereomate.terrain.source import FileSource
 
 Record = dict[str, Any]
 
@@ -169,3 +173,50 @@ def model_record(model: StereoModel) -> Record:
 def model_from_record(record: Record) -> StereoModel:
     """Inverse of `model_record`."""
     return StereoModel(**record)
+
+
+def height_model_record(model: HeightModel, folder: Path) -> Record:
+    """The height model: its file, how its numbers are read, and what is burned in.
+
+    Raises
+    ------
+    FormatError
+        If it is not a file: nobody could read it again.
+    """
+    if not isinstance(model.source, FileSource):
+        raise FormatError("must be a file to be recorded", field="height_model", value=model.name)
+    features = model.features if isinstance(model, BurnedSurface) else ()
+    return {
+        "file": relative_path(model.source.path, folder),
+        "sha256": model.content_hash,
+        "frame": frame_record(model.frame, folder),
+        "affine": list(model.affine),
+        "nodata": model.source.nodata,
+        "factor": model.source.factor,
+        "features": [
+            {
+                "geometry": shapely.to_wkt(f.geometry, rounding_precision=-1, output_dimension=3),
+                "rule": f.rule,
+                "height": f.height,
+                "width": f.width,
+            }
+            for f in features
+        ],
+    }
+
+
+def height_model_from_record(record: Record, folder: Path) -> HeightModel:
+    """Inverse of `height_model_record`; the file is opened when heights are asked for."""
+    path = path_from_record(record["file"], folder)
+    if path is None:
+        raise FormatError("must name a file", file=folder, field="height_model.file")
+    source = FileSource(path, record["nodata"], record["factor"])
+    a, b, c, d, e, f = record["affine"]
+    model = HeightModel(source, frame_from_record(record["frame"], folder), (a, b, c, d, e, f), path)
+    if not record["features"]:
+        return model
+    features = [
+        SurfaceFeature(shapely.from_wkt(r["geometry"]), r["rule"], r["height"], r["width"])
+        for r in record["features"]
+    ]
+    return BurnedSurface.of(model, features)

@@ -1,0 +1,90 @@
+"""`stereomate run`: orthophoto, stereomate, lineage and report of a project."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stereomate.cli.logs import log_to_file
+from stereomate.cli.output import print_json
+from stereomate.cli.progress import progress_of
+from stereomate.cli.settings import Settings
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("run")(_run)
+
+
+def _run(
+    context: typer.Context,
+    project: Annotated[Path, typer.Argument(help="The project file.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the products.")],
+    pair: Annotated[
+        tuple[str, str] | None, typer.Option("--pair", help="Names of two photographs: this model alone.")
+    ] = None,
+    ortho_only: Annotated[bool, typer.Option("--ortho-only", help="Orthophoto without stereomate.")] = False,
+    scheduler: Annotated[
+        str | None, typer.Option("--scheduler", help="Address of a Dask scheduler that runs the tiles.")
+    ] = None,
+    strict: Annotated[bool, typer.Option("--strict", help="One bad photograph stops the run.")] = False,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Forget what an earlier run left.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print what was made as JSON.")] = False,
+) -> None:
+    """Make orthophoto and stereomate of a project. A run that was killed goes on where it stopped."""
+    from stereomate.project import load
+    from stereomate.project.documents import write_documents
+    from stereomate.project.run import RunOptions, run, summary_record
+
+    settings: Settings = context.obj
+    loaded = load(project, strict=strict or None)
+    options = RunOptions(
+        threads=settings.threads,
+        scheduler=scheduler,
+        pairs=None if pair is None else (pair,),
+        stereo=not ortho_only,
+        fresh=fresh,
+    )
+    with log_to_file(out / "run.log"), progress_of(settings, as_json) as progress:
+        result = run(loaded, out, options, progress)
+        if not result.up_to_date:
+            write_documents(result)
+    if as_json:
+        print_json(summary_record(result))
+    elif settings.verbosity >= 0:
+        _print_summary(summary_record(result))
+
+
+def _print_summary(summary: dict[str, object]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    if summary["up_to_date"]:
+        console.print(f"{summary['out']} is up to date; --fresh makes it anew")
+        return
+    table = Table(title=f"Products in {summary['out']}")
+    for heading in ("product", "pixels", "GSD", "models", "x-parallax minus q(h), px", "y-parallax, px"):
+        table.add_column(heading)
+    products = summary["products"]
+    assert isinstance(products, list)
+    for product in products:
+        agreement = (product["agreement"] or {}).get("orthophoto_against_stereomate")
+        table.add_row(
+            ", ".join(product["files"]),
+            "{} x {}".format(*product["size"]),
+            f"{product['gsd']:g}",
+            str(product["models"]),
+            _median_nmad(agreement, 0),
+            _median_nmad(agreement, 1),
+        )
+    console.print(table)
+    console.print(f"Open {summary['out']}/report.html")
+
+
+def _median_nmad(agreement: dict[str, tuple[float, float]] | None, axis: int) -> str:
+    if agreement is None or not agreement["count"]:
+        return "not measured"
+    return f"{agreement['median_px'][axis]:+.3f} ± {agreement['nmad_px'][axis]:.3f}"

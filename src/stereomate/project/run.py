@@ -1,0 +1,335 @@
+"""The main job: from a project to orthophoto, stereomate, lineage, stereo.json and STAC item.
+
+Stages: plan, tiles, assembly, agreement, documents. Tiles are kept in a ledger inside the output folder while
+the run lasts; a run that was killed goes on from there and gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+from stereomate import __version__
+from stereomate.coverage.summary import Coverage, survey_coverage
+from stereomate.errors import ProjectError
+from stereomate.project.model import Project
+from stereomate.raster.cog import BandStatistics, Georeference, assemble_cog
+from stereomate.raster.files import storing
+from stereomate.rectify.job import RectifyJob
+from stereomate.rectify.planning import Request, plan_products
+from stereomate.rectify.readers import close_readers
+from stereomate.rectify.task import LINEAGE, MATE, ORTHO, ChunkTask, lineage_profile, product_profile
+from stereomate.stereo.agreement import Agreement, measure_agreement, sample_windows
+from stereomate.stereo.product import (
+    ProductFiles,
+    StereoProduct,
+    product_record,
+    read_document,
+    write_stereo_json,
+)
+from stereomate.tiles import executor as tiles
+from stereomate.tiles.ledger import Ledger, run_key
+from stereomate.tiles.plan import TilePlan
+
+LOG = logging.getLogger(__name__)
+
+WORKSPACE: Final = ".stereomate"
+# Windows in which left and right are matched, and their edge in pixels.
+AGREEMENT_WINDOWS: Final = 12
+AGREEMENT_PX: Final = 512
+
+# stage, done, total
+ProgressSink = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How to run, besides what the project says.
+
+    Attributes
+    ----------
+    threads : int
+    scheduler : str or None
+        Address of a Dask scheduler; threads of this process without.
+    pairs : tuple of (str, str) or None
+        Models to use instead of those of the project.
+    stereo : bool
+        False: an orthophoto alone.
+    agreement : bool
+        Measure the agreement of left and right by matching.
+    chunk_tiles : int
+        Tiles per side of a chunk.
+    fresh : bool
+        Forget what an earlier run left, and make everything anew.
+    """
+
+    threads: int = 1
+    scheduler: str | None = None
+    pairs: tuple[tuple[str, str], ...] | None = None
+    stereo: bool = True
+    agreement: bool = True
+    chunk_tiles: int = 2
+    fresh: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class ProductResult:
+    """One product as made.
+
+    Attributes
+    ----------
+    product : StereoProduct
+    agreement : Agreement or None
+    statistics : dict of str to tuple of BandStatistics
+        Per raster.
+    chunks_made, chunks_reused : int
+    """
+
+    product: StereoProduct
+    agreement: Agreement | None
+    statistics: dict[str, tuple[BandStatistics, ...]]
+    chunks_made: int
+    chunks_reused: int
+
+
+@dataclass(frozen=True, eq=False)
+class RunResult:
+    """What a run made.
+
+    Attributes
+    ----------
+    out : Path
+    products : tuple of ProductResult
+    coverage : Coverage
+    up_to_date : bool
+        Everything was there already: nothing was computed.
+    """
+
+    out: Path
+    project: Project
+    products: tuple[ProductResult, ...]
+    coverage: Coverage
+    key: str
+    up_to_date: bool = False
+    notes: tuple[str, ...] = field(default=())
+
+
+def plan(project: Project, options: RunOptions) -> tuple[Coverage, list[RectifyJob]]:
+    """Coverage of the survey and the jobs of its products; reads no pixel of a photograph."""
+    heights = project.require_heights()
+    coverage = survey_coverage(project.survey, heights)
+    bands, dtype = common_pixels(project)
+    request = Request(
+        pairs=options.pairs if options.pairs is not None else project.pairs,
+        stereo=options.stereo,
+        area=project.area,
+        bands=bands,
+        dtype=project.options.dtype or dtype,
+    )
+    if not project.sheets:
+        return coverage, plan_products(project.survey, heights, coverage, project.options, request)
+    jobs = []
+    for sheet in project.sheets:
+        area = sheet.geometry if project.area is None else sheet.geometry.intersection(project.area)
+        for job in plan_products(
+            project.survey, heights, coverage, project.options, replace(request, area=area)
+        ):
+            name = sheet.name if not job.name else f"{sheet.name}_{job.name}"
+            jobs.append(replace(job, name=name))
+    return coverage, jobs
+
+
+def common_pixels(project: Project) -> tuple[tuple[int, ...], str]:
+    """Bands to take (from 0) and pixel type, the same in all photographs.
+
+    Raises
+    ------
+    ProjectError
+        If photographs differ, or a band that is asked for is not there.
+    """
+    infos = [project.infos[p.name] for p in project.survey.photographs]
+    kinds = {(len(info.colour_bands), str(info.dtype)) for info in infos}
+    if len(kinds) > 1:
+        text = "; ".join(sorted(f"{bands} bands of {dtype}" for bands, dtype in kinds))
+        raise ProjectError(
+            "must be photographs with the same bands and type",
+            file=project.path,
+            field="photos.files",
+            value=text,
+        )
+    asked = project.options.bands
+    available = infos[0].colour_bands
+    if asked is None:
+        return available, str(infos[0].dtype)
+    if max(asked) > infos[0].bands:
+        raise ProjectError(
+            f"must be bands of the photographs, which have {infos[0].bands}",
+            file=project.path,
+            field="products.bands",
+            value=list(asked),
+        )
+    return tuple(band - 1 for band in asked), str(infos[0].dtype)
+
+
+def run(project: Project, out: Path, options: RunOptions, progress: ProgressSink | None = None) -> RunResult:
+    """Make all products of a project.
+
+    Raises
+    ------
+    StereomateError
+        Wrong input, or a place that cannot be written. Finished chunks stay for the next run.
+    """
+    report = progress or (lambda stage, done, total: None)
+    with storing(out):
+        out.mkdir(parents=True, exist_ok=True)
+    report("plan", 0, 1)
+    coverage, jobs = plan(project, options)
+    report("plan", 1, 1)
+    key = _definition_key(project, jobs, options, out)
+    if options.fresh:
+        shutil.rmtree(out / WORKSPACE, ignore_errors=True)
+    elif _is_made(out, key):
+        LOG.info("%s is up to date", out)
+        return RunResult(out, project, (), coverage, key, up_to_date=True)
+    try:
+        results = tuple(_make_product(job, out, key, options, report) for job in jobs)
+    finally:
+        close_readers()
+    write_stereo_json(
+        out / "stereo.json",
+        [r.product for r in results],
+        {
+            "key": key,
+            "project": project.name,
+            "notes": list(project.notes),
+            "inputs": [{"role": i.role, "file": i.path.name, "digest": i.digest} for i in project.inputs],
+        },
+    )
+    shutil.rmtree(out / WORKSPACE, ignore_errors=True)
+    return RunResult(out, project, results, coverage, key)
+
+
+def _definition_key(project: Project, jobs: list[RectifyJob], options: RunOptions, out: Path) -> str:
+    """Hash of everything that decides the bytes of the products."""
+    nothing = ProductFiles("", "", None, {})
+    records = [product_record(StereoProduct(job, nothing, out, "")) for job in jobs]
+    return run_key(
+        version=__version__,
+        inputs=[(i.role, i.digest) for i in project.inputs if i.role != "project"],
+        products=records,
+        chunk_tiles=options.chunk_tiles,
+        agreement=options.agreement,
+    )
+
+
+def _is_made(out: Path, key: str) -> bool:
+    path = out / "stereo.json"
+    if not path.is_file():
+        return False
+    document = read_document(path)
+    if document.get("run", {}).get("key") != key:
+        return False
+    for record in document["products"]:
+        for name, digest in record["sha256"].items():
+            if not (out / name).is_file() or _digest(out / name) != digest:
+                return False
+    return True
+
+
+def _make_product(
+    job: RectifyJob, out: Path, key: str, options: RunOptions, report: ProgressSink
+) -> ProductResult:
+    roles = _roles(job)
+    layout = TilePlan(job.grid.size, job.options.blocksize, options.chunk_tiles)
+    profile = product_profile(job, roles)
+    folder = out / WORKSPACE / f"tiles{_suffix(job)}"
+    ledger = Ledger.open(folder, run_key(key=key, product=job.name))
+    task = ChunkTask(job, layout, profile)
+    stage = f"tiles{_suffix(job)}"
+    summary = tiles.run(
+        layout,
+        task,
+        ledger,
+        tiles.executor_of(options.threads, options.scheduler),
+        lambda p: report(stage, p.done, p.total),
+    )
+    files = {ORTHO: f"ortho{_suffix(job)}.tif", LINEAGE: f"lineage{_suffix(job)}.tif"}
+    if job.is_stereo:
+        files[MATE] = f"mate{_suffix(job)}.tif"
+    statistics = {}
+    for k, (name, file) in enumerate(files.items()):
+        report(f"assembly{_suffix(job)}", k, len(files))
+        used = lineage_profile(job) if name == LINEAGE else profile
+        place = Georeference(job.frame.crs, job.grid.affine, _metadata(job, name))
+        statistics[name] = assemble_cog(out / file, used, layout, ledger, name, place)
+    report(f"assembly{_suffix(job)}", len(files), len(files))
+    agreement = None
+    if job.is_stereo and options.agreement:
+        report(f"agreement{_suffix(job)}", 0, 1)
+        agreement = measure_agreement(job, sample_windows(job.grid.size, AGREEMENT_PX, AGREEMENT_WINDOWS))
+        report(f"agreement{_suffix(job)}", 1, 1)
+    hashes = {file: _digest(out / file) for file in files.values()}
+    product = StereoProduct(
+        job,
+        ProductFiles(files[ORTHO], files[LINEAGE], files.get(MATE), hashes),
+        out,
+        job.heights.content_hash,
+        None if agreement is None else agreement.as_record(),
+    )
+    return ProductResult(product, agreement, statistics, summary.made, summary.reused)
+
+
+def _suffix(job: RectifyJob) -> str:
+    return f"_{job.name}" if job.name else ""
+
+
+def _roles(job: RectifyJob) -> tuple[str, ...]:
+    """Colours of the bands: red, green, blue for the first three of three or more."""
+    count = len(job.bands)
+    if count < 3:
+        return ("gray", *["undefined"] * (count - 1))
+    return ("red", "green", "blue", *["undefined"] * (count - 3))
+
+
+def _metadata(job: RectifyJob, name: str) -> dict[str, str]:
+    """Items of a raster that say what it is to whom finds it alone."""
+    items = {"TIFFTAG_SOFTWARE": f"stereomate {__version__}", "STEREOMATE_PRODUCT": name}
+    if job.is_stereo and name in (ORTHO, MATE):
+        other = {ORTHO: "mate", MATE: "ortho"}[name]
+        items |= {
+            "STEREOMATE_EYE": "left" if name == ORTHO else "right",
+            "ISO19115_ASSOCIATION": f"stereoMate {other}{_suffix(job)}.tif",
+            "STEREOMATE_LAW": job.law.kind,
+        }
+    return items
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def summary_record(result: RunResult) -> dict[str, Any]:
+    """What was made, for ``--json`` and the end of the log."""
+    return {
+        "out": str(result.out),
+        "up_to_date": result.up_to_date,
+        "products": [
+            {
+                "name": r.product.job.name,
+                "files": sorted(r.product.files.hashes),
+                "size": list(r.product.job.grid.size),
+                "gsd": r.product.job.grid.gsd,
+                "models": sum(m.right >= 0 for m in r.product.job.models),
+                "agreement": r.product.agreement,
+                "chunks_made": r.chunks_made,
+                "chunks_reused": r.chunks_reused,
+            }
+            for r in result.products
+        ],
+    }

@@ -1,0 +1,211 @@
+"""stereo.json: everything that defines the products of a run, written and read back.
+
+The file lies beside the rasters. With it and the source photographs every pixel can be computed again, and
+a point measured in orthophoto and stereomate can be traced back to the two photographs.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from stereomate import __version__
+from stereomate.errors import FormatError
+from stereomate.parallax.laws import ParallaxLaw, law_from_record
+from stereomate.raster.files import write_whole
+from stereomate.rectify.job import RectifyJob
+from stereomate.rectify.options import RectifyOptions
+from stereomate.stereo import record as rec
+
+STEREO_FORMAT: Final = 1
+
+Record = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class ProductFiles:
+    """Rasters of one product, names relative to the folder of stereo.json.
+
+    Attributes
+    ----------
+    ortho, lineage : str
+    mate : str or None
+        None for an orthophoto without stereomate.
+    hashes : mapping of str to str
+        SHA-256 of each file.
+    """
+
+    ortho: str
+    lineage: str
+    mate: str | None
+    hashes: Mapping[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class StereoProduct:
+    """A product: what it was computed from and how, and where its rasters are.
+
+    Attributes
+    ----------
+    job : RectifyJob
+        Models, law, grid, orientation, height model.
+    files : ProductFiles
+    folder : Path
+        Of stereo.json.
+    height_model_hash : str
+        SHA-256 of the height model the product was made with.
+    agreement : mapping or None
+        Measured parallaxes, see `stereomate.stereo.agreement`.
+    """
+
+    job: RectifyJob
+    files: ProductFiles
+    folder: Path
+    height_model_hash: str
+    agreement: Mapping[str, Any] | None = None
+
+
+def product_record(product: StereoProduct) -> Record:
+    """One product as plain values."""
+    job, folder = product.job, product.folder
+    cameras = {p.camera.name: rec.camera_record(p.camera) for p in job.photographs}
+    law = None if not job.is_stereo else job.law.as_record()
+    return {
+        "name": job.name,
+        "files": {
+            "ortho": product.files.ortho,
+            "mate": product.files.mate,
+            "lineage": product.files.lineage,
+        },
+        "sha256": dict(product.files.hashes),
+        "law": law,
+        "base": _base_record(job),
+        "grid": rec.grid_record(job.grid),
+        "frame": rec.frame_record(job.frame, folder),
+        "tangent": rec.tangent_record(job.tangent),
+        "height_model": rec.height_model_record(job.heights, folder),
+        "height_range": list(job.height_range),
+        "cameras": cameras,
+        "photographs": [rec.photograph_record(p, folder) for p in job.photographs],
+        "centres_in_height_model": job.centres_in_height_model.tolist(),
+        "reductions": list(job.reductions),
+        "models": [rec.model_record(m) for m in job.models],
+        "bands": [band + 1 for band in job.bands],
+        "dtype": str(job.dtype),
+        "options": dataclasses.asdict(job.options),
+        "agreement": product.agreement,
+    }
+
+
+def _base_record(job: RectifyJob) -> Record | None:
+    """Nominal base of the product: length, and azimuth of the rows in degrees from grid north."""
+    if not job.is_stereo:
+        return None
+    azimuth = (90.0 - np.degrees(job.grid.rotation)) % 360.0
+    return {"length": job.law.base_m, "grid_azimuth_deg": float(azimuth)}
+
+
+def write_stereo_json(path: Path, products: list[StereoProduct], run: Record) -> None:
+    """Write stereo.json, whole or not at all.
+
+    Parameters
+    ----------
+    run : dict
+        What the run says about itself: key of its definition, notes, inputs.
+    """
+    document = {
+        "format": STEREO_FORMAT,
+        "software": f"stereomate {__version__}",
+        "run": run,
+        "products": [product_record(p) for p in products],
+    }
+    text = json.dumps(_without_nan(document), indent=1, ensure_ascii=False, allow_nan=False)
+    write_whole(path, [text.encode()])
+
+
+def read_document(path: Path) -> Record:
+    """The document of a stereo.json, migrated to the present form.
+
+    Raises
+    ------
+    FormatError
+        If it is no such file, or newer than this version reads.
+    """
+    try:
+        document: Any = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise FormatError("does not exist", file=path) from error
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise FormatError(f"is not JSON ({error})", file=path) from error
+    version = document.get("format") if isinstance(document, dict) else None
+    if not isinstance(version, int) or "products" not in document:
+        raise FormatError("is not a stereo.json", file=path, field="format", value=version)
+    if version > STEREO_FORMAT:
+        raise FormatError(
+            f"was written by a newer stereomate: this one reads format {STEREO_FORMAT}",
+            file=path,
+            field="format",
+            value=version,
+        )
+    known: Record = document
+    return known
+
+
+def read_products(path: Path) -> list[StereoProduct]:
+    """All products of a stereo.json.
+
+    Raises
+    ------
+    FormatError
+        If the file is damaged, incomplete or newer.
+    """
+    document = read_document(path)
+    try:
+        return [_product_from_record(record, path.parent) for record in document["products"]]
+    except (KeyError, TypeError, IndexError) as error:
+        raise FormatError(f"lacks or garbles a value ({error})", file=path, field="products") from error
+
+
+def _product_from_record(record: Record, folder: Path) -> StereoProduct:
+    cameras = {name: rec.camera_from_record(r) for name, r in record["cameras"].items()}
+    law = record["law"]
+    written: dict[str, Any] = {
+        key: tuple(value) if isinstance(value, list) else value for key, value in record["options"].items()
+    }
+    options = RectifyOptions(**written)
+    low, high = record["height_range"]
+    job = RectifyJob(
+        name=record["name"],
+        frame=rec.frame_from_record(record["frame"], folder),
+        tangent=rec.tangent_from_record(record["tangent"]),
+        photographs=tuple(rec.photograph_from_record(r, cameras, folder) for r in record["photographs"]),
+        reductions=tuple(record["reductions"]),
+        heights=rec.height_model_from_record(record["height_model"], folder),
+        centres_in_height_model=np.array(record["centres_in_height_model"]),
+        grid=rec.grid_from_record(record["grid"]),
+        models=tuple(rec.model_from_record(r) for r in record["models"]),
+        law=ParallaxLaw("none", 1.0, 1.0) if law is None else law_from_record(law),
+        height_range=(low, high),
+        bands=tuple(band - 1 for band in record["bands"]),
+        dtype=np.dtype(record["dtype"]),
+        options=options,
+    )
+    files = record["files"]
+    names = ProductFiles(files["ortho"], files["lineage"], files["mate"], record["sha256"])
+    return StereoProduct(job, names, folder, record["height_model"]["sha256"], record["agreement"])
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    if isinstance(value, dict):
+        return {k: _without_nan(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(v) for v in value]
+    return value
