@@ -15,6 +15,7 @@ from stereomate.parallax.kernels.law import (
     slope,
     slopes,
 )
+from stereomate.parallax.kernels.rows import hidden_positions, highest_u, visible_pieces, winners
 
 __all__ = [
     "LINEAR",
@@ -24,8 +25,12 @@ __all__ = [
     "TABLE",
     "height_of_q",
     "heights_of_q",
+    "hidden_positions",
+    "highest_u",
     "q_of_height",
     "q_of_heights",
     "slope",
     "slopes",
+    "visible_pieces",
+    "winners",
 ]
