@@ -13,6 +13,7 @@ from stereomate.errors import CoverageError
 from stereomate.project.compare import Comparison
 from stereomate.project.model import Project
 from stereomate.rectify.job import RectifyJob
+from stereomate.rectify.layout import MIN_OVERLAP
 from stereomate.rectify.planning import Request, plan_products
 from stereomate.terrain.model import HeightModel
 
@@ -232,7 +233,8 @@ def _of(footprint: Footprint | None, name: str) -> float:
 
 def _pair_row(pair: Pair, project: Project) -> PairRow:
     options = project.options
-    serves = options.min_base_height <= pair.base_height <= options.max_base_height
+    serves = pair.overlap >= MIN_OVERLAP
+    serves = serves and options.min_base_height <= pair.base_height <= options.max_base_height
     return PairRow(
         *pair.names,
         overlap=pair.overlap,

@@ -21,6 +21,7 @@ from stereomate.frames.heights import HeightSystem
 from stereomate.frames.mapframe import MapFrame
 from stereomate.frames.orientation import ExteriorOrientation
 from stereomate.frames.tangent import TangentFrame
+from stereomate.frames.transform import map_from_map
 from stereomate.project.cameras import camera_from_section
 from stereomate.project.compare import Comparison, compare_orientations
 from stereomate.project.ground import GroundUnderBlock, ground_under, looks_up
@@ -86,7 +87,8 @@ def load(path: str | Path, *, strict: bool | None = None) -> Project:
     notes += written.notes
     candidates, problems = _candidates(file, path, written, cameras)
     tangent = tangent_frame_for(written, frame, file.project.tangent_origin)
-    model = open_terrain(file, reading, notes)
+    centres = map_from_map(frame, written.frame, written.positions)
+    model = open_terrain(file, reading, centres, frame, notes)
     placed = _place(file, reading, written, candidates, tangent, model, options, notes)
     problems += placed.problems
     _require_enough(placed, problems, options.strict if strict is None else strict, path)
@@ -200,8 +202,12 @@ def _camera_of(
     elif wanted is not None and wanted in known:
         camera = known[wanted]
     else:
-        rule = f"must name its camera, one of {', '.join(known)}"
-        raise OrientationError(rule, file=written.source, field=written.names[index], value=wanted)
+        # Without a name the size decides, where only one camera has it.
+        sized = [camera for camera in known.values() if camera.size_px == info.size]
+        if len(sized) != 1:
+            rule = f"must name its camera, one of {', '.join(known)}"
+            raise OrientationError(rule, file=written.source, field=written.names[index], value=wanted)
+        camera = sized[0]
     if info.size != camera.size_px:
         raise ImageError(
             f"must have the {camera.size_px[0]} x {camera.size_px[1]} pixels of camera {camera.name}",

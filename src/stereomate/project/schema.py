@@ -175,13 +175,23 @@ class PhotosSection(OrientationSection):
 
 
 class TerrainSection(Section):
-    """``[terrain]``."""
+    """``[terrain]``: a raster, or one level for flat ground."""
 
-    file: str
+    file: str | None = None
+    level: Finite | None = None
     crs: str | None = None
     heights: str | None = None
     unit: Literal["metre", "foot", "us-survey-foot"] | None = None
     nodata: float | None = None
+
+    @model_validator(mode="after")
+    def _file_or_level(self) -> TerrainSection:
+        _exactly_one(self, "file", "level")
+        if self.level is not None:
+            for name in ("crs", "heights", "unit", "nodata"):
+                if name in self.model_fields_set:
+                    raise ValueError(f"{name} has no meaning with level, a height of the project")
+        return self
 
 
 class ControlSection(Section):

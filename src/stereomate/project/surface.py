@@ -21,9 +21,19 @@ from stereomate.terrain.model import HeightModel
 
 Array = NDArray[np.float64]
 
+# Level ground reaches this many flying heights beyond the outermost centres.
+_FLYING_HEIGHTS = 10.0
 
-def open_terrain(file: ProjectFile, reading: Reading, notes: list[str]) -> HeightModel | None:
+
+def open_terrain(
+    file: ProjectFile, reading: Reading, centres: Array, frame: MapFrame, notes: list[str]
+) -> HeightModel | None:
     """The height model, or None where the project has none.
+
+    Parameters
+    ----------
+    centres : ndarray (n, 3)
+        Projection centres in the map of the project: level ground reaches around them.
 
     Raises
     ------
@@ -33,6 +43,10 @@ def open_terrain(file: ProjectFile, reading: Reading, notes: list[str]) -> Heigh
     section = file.terrain
     if section is None:
         return None
+    if section.level is not None or section.file is None:
+        level = section.level or 0.0
+        notes.append(f"the ground is taken as level at {level:g}")
+        return _level_ground(level, centres, frame)
     heights = height_system(section.heights, reading.heights, reading, "terrain.heights")
     model = HeightModel.open(
         reading.folder / section.file,
@@ -43,6 +57,16 @@ def open_terrain(file: ProjectFile, reading: Reading, notes: list[str]) -> Heigh
     )
     notes.append(f"height model: {model.name}, {model.frame.name}, {heights.description}")
     return model
+
+
+def _level_ground(level: float, centres: Array, frame: MapFrame) -> HeightModel:
+    above = float(np.max(centres[:, 2] - level))
+    margin = max(_FLYING_HEIGHTS * above, 100.0) / frame.unit_m
+    low, high = centres[:, :2].min(axis=0) - margin, centres[:, :2].max(axis=0) + margin
+    nodes = 16
+    step = (high - low) / nodes
+    affine = (float(step[0]), 0.0, float(low[0]), 0.0, -float(step[1]), float(high[1]))
+    return HeightModel.from_array(np.full((nodes, nodes), level), affine, frame)
 
 
 def with_breaklines(model: HeightModel, file: ProjectFile, reading: Reading, notes: list[str]) -> HeightModel:
