@@ -1,0 +1,1 @@
+"""Synthetic surveys: worlds with known truth, photographed rigorously."""

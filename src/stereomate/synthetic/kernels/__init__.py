@@ -1,0 +1,1 @@
+"""Kernels of the synthetic world: exact ray tracing and procedural colour."""

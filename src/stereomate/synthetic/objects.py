@@ -1,0 +1,147 @@
+"""Buildings and trees as values, where they stand, and the search grid that rays use."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereomate.synthetic.kernels.scene import CONE, ELLIPSOID, Objects
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Building:
+    """A convex building with a gabled or flat roof; plumb walls, map coordinates, ellipsoidal heights.
+
+    The ridge runs along the length, in the direction ``azimuth`` (radians, counter-clockwise from grid east).
+    """
+
+    centre: tuple[float, float]
+    azimuth: float
+    half_length: float
+    half_width: float
+    base: float
+    eaves: float
+    ridge: float
+
+    @property
+    def roof_slope(self) -> float:
+        """Tangent of the roof's inclination, 0 for a flat roof."""
+        return (self.ridge - self.eaves) / self.half_width
+
+    def corners(self) -> Array:
+        """Roof corners (4 or 6, 3): the four at the eaves and, with a gable, the two ends of the ridge."""
+        c, s = math.cos(self.azimuth), math.sin(self.azimuth)
+        local = [
+            (i * self.half_length, j * self.half_width, self.eaves)
+            for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        ]
+        if self.ridge > self.eaves:
+            local += [(-self.half_length, 0.0, self.ridge), (self.half_length, 0.0, self.ridge)]
+        u, v, h = np.array(local).T
+        return np.stack([self.centre[0] + c * u - s * v, self.centre[1] + s * u + c * v, h], axis=-1)
+
+
+@dataclass(frozen=True)
+class Tree:
+    """A crown: a cone with its apex at the top, or an upright ellipsoid of revolution."""
+
+    centre: tuple[float, float]
+    crown_base: float
+    top: float
+    radius: float
+    conifer: bool
+
+
+def building_rows(buildings: tuple[Building, ...], origin: Array) -> Array:
+    """Buildings as the kernels want them (n, 9), in local map coordinates."""
+    rows = [
+        (
+            b.centre[0] - origin[0],
+            b.centre[1] - origin[1],
+            math.cos(b.azimuth),
+            math.sin(b.azimuth),
+            b.half_length,
+            b.half_width,
+            b.base,
+            b.eaves,
+            b.roof_slope,
+        )
+        for b in buildings
+    ]
+    return np.array(rows, dtype=np.float64).reshape(-1, 9)
+
+
+def tree_rows(trees: tuple[Tree, ...], origin: Array) -> Array:
+    """Trees as the kernels want them (m, 6), in local map coordinates."""
+    rows = [
+        (
+            t.centre[0] - origin[0],
+            t.centre[1] - origin[1],
+            t.crown_base,
+            t.top,
+            t.radius,
+            CONE if t.conifer else ELLIPSOID,
+        )
+        for t in trees
+    ]
+    return np.array(rows, dtype=np.float64).reshape(-1, 6)
+
+
+def _boxes(buildings: Array, trees: Array) -> tuple[Array, Array]:
+    """Bounding boxes (n, 4: west, south, east, north) and tops of all objects."""
+    half_x = np.abs(buildings[:, 4] * buildings[:, 2]) + np.abs(buildings[:, 5] * buildings[:, 3])
+    half_y = np.abs(buildings[:, 4] * buildings[:, 3]) + np.abs(buildings[:, 5] * buildings[:, 2])
+    x, y = np.r_[buildings[:, 0], trees[:, 0]], np.r_[buildings[:, 1], trees[:, 1]]
+    hx, hy = np.r_[half_x, trees[:, 4]] + 0.05, np.r_[half_y, trees[:, 4]] + 0.05
+    tops = np.r_[buildings[:, 7] + buildings[:, 8] * buildings[:, 5], trees[:, 3]]
+    return np.stack([x - hx, y - hy, x + hx, y + hy], axis=-1), tops
+
+
+def cell_lists(
+    boxes: Array, cell: float, shape: tuple[int, int]
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Which boxes touch each cell: first item of every cell (rows * cols + 1) and the items."""
+    pairs = []
+    for item, (west, south, east, north) in enumerate(boxes):
+        c0, c1 = max(math.floor(west / cell), 0), min(math.floor(east / cell), shape[1] - 1)
+        r0, r1 = max(math.floor(-north / cell), 0), min(math.floor(-south / cell), shape[0] - 1)
+        pairs += [(r * shape[1] + c, item) for r in range(r0, r1 + 1) for c in range(c0, c1 + 1)]
+    table = np.array(sorted(pairs), dtype=np.int32).reshape(-1, 2)
+    first = np.searchsorted(table[:, 0], np.arange(shape[0] * shape[1] + 1)).astype(np.int32)
+    return first, np.ascontiguousarray(table[:, 1])
+
+
+def object_arrays(
+    buildings: Array, trees: Array, heights: Array, step: float, reach_per_height: float, cell: float = 8.0
+) -> Objects:
+    """Search grid over the objects.
+
+    Parameters
+    ----------
+    heights : ndarray (rows, cols)
+        Terrain nodes, the first at local (0, 0).
+    step : float
+        Mesh of the terrain.
+    reach_per_height : float
+        How far sideways, per metre of height, the flattest ray of a photograph or of the sun travels.
+    """
+    boxes, tops = _boxes(buildings, trees)
+    rows, cols = heights.shape
+    shape = (math.ceil((rows - 1) * step / cell) + 1, math.ceil((cols - 1) * step / cell) + 1)
+    first, items = cell_lists(boxes, cell, shape)
+    top = np.full(shape[0] * shape[1], -np.inf)
+    np.maximum.at(top, np.repeat(np.arange(top.size), np.diff(first)), tops[items])
+    tallest = 0.0
+    for (west, south, east, north), highest in zip(boxes, tops, strict=True):
+        r0, r1 = max(math.floor(-north / step), 0), math.ceil(-south / step) + 1
+        c0, c1 = max(math.floor(west / step), 0), math.ceil(east / step) + 1
+        tallest = max(tallest, float(highest - heights[r0:r1, c0:c1].min()))
+    reach = tallest * reach_per_height
+    near_first, _ = cell_lists(boxes + np.array([-reach, -reach, reach, reach]), cell, shape)
+    near = (np.diff(near_first) > 0).astype(np.uint8).reshape(shape)
+    return Objects(buildings, trees, tallest, cell, first, items, top.reshape(shape), near)
