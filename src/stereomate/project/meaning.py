@@ -11,7 +11,6 @@ from stereomate.frames.adjusted import GridAdjustment, grid_height_excess_m, spa
 from stereomate.project.ground import GroundUnderBlock
 from stereomate.project.orientations import Reading, WrittenOrientations, height_system, map_frame, named
 from stereomate.project.schema import ControlSection, ProjectFile
-from stereomate.rectify.options import RectifyOptions
 
 Array = NDArray[np.float64]
 
@@ -31,7 +30,6 @@ def resolve_adjusted(
     written: WrittenOrientations,
     rows: NDArray[np.int64],
     ground: GroundUnderBlock | None,
-    options: RectifyOptions,
     notes: list[str],
 ) -> GridAdjustment | None:
     """How centres become true positions; None where they are taken as they are written.
@@ -65,7 +63,7 @@ def resolve_adjusted(
         return None
     reference, relief, source = _reference(file, reading, written, ground)
     if declared is None:
-        _refuse_or_note(reading, written, reference, rows, ground, options, notes)
+        _refuse_or_note(reading, written, reference, rows, ground, notes, file.products.gsd)
         return None
     try:
         adjustment = space_from_grid_centres(written.frame, written.positions, reference)
@@ -86,11 +84,11 @@ def _refuse_or_note(
     reference: float,
     rows: NDArray[np.int64],
     ground: GroundUnderBlock | None,
-    options: RectifyOptions,
     notes: list[str],
+    product_gsd: float | None,
 ) -> None:
     size = float(np.abs(grid_height_excess_m(written.frame, written.positions[rows], reference)).max())
-    limit = _LARGEST_SHARE_OF_GSD * _gsd(written, ground, options)
+    limit = _LARGEST_SHARE_OF_GSD * _gsd(written, ground, product_gsd)
     if size > limit:
         rule = (
             f"must be given, because its two meanings, {_MEANINGS}, differ by {size:.3f} m in the heights of "
@@ -103,9 +101,9 @@ def _refuse_or_note(
     )
 
 
-def _gsd(written: WrittenOrientations, ground: GroundUnderBlock | None, options: RectifyOptions) -> float:
+def _gsd(written: WrittenOrientations, ground: GroundUnderBlock | None, product_gsd: float | None) -> float:
     """The finer of the products' and the photographs' GSD, in metres."""
-    gsd = [] if options.gsd is None else [options.gsd * written.frame.unit_m]
+    gsd = [] if product_gsd is None else [product_gsd * written.frame.unit_m]
     if ground is not None and np.isfinite(ground.gsd_m).any():
         gsd.append(float(np.nanmedian(ground.gsd_m)))
     return min(gsd, default=0.0)

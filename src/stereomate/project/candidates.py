@@ -1,0 +1,108 @@
+"""Photographs on their way into a survey: file, orientation and camera of each."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from stereomate.camera.model import Camera
+from stereomate.errors import ImageError, OrientationError, ProjectError
+from stereomate.project.inputs import PhotoProblem
+from stereomate.project.orientations import WrittenOrientations
+from stereomate.project.photos import match_names, photo_files, read_photo_info
+from stereomate.project.schema import ProductsSection, ProjectFile
+from stereomate.raster import RasterInfo
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A photograph with an orientation, on its way into the survey."""
+
+    index: int
+    path: Path
+    info: RasterInfo
+    camera: Camera
+
+
+def find_candidates(
+    file: ProjectFile, path: Path, written: WrittenOrientations, cameras: Mapping[str, Camera]
+) -> tuple[list[Candidate], list[PhotoProblem]]:
+    files = photo_files(file.photos.files, file.photos.exclude, path.parent, path)
+    matched, problems = match_names(written.names, files, written.source)
+    candidates = []
+    for index, name in enumerate(written.names):
+        if name not in matched:
+            continue
+        photo = matched[name]
+        try:
+            info = read_photo_info(photo)
+            camera = _camera_of(index, file, path, written, cameras, info)
+        except (ImageError, OrientationError) as error:
+            problems.append(PhotoProblem(photo.name, error))
+            continue
+        candidates.append(Candidate(index, photo, info, camera))
+    candidates.sort(key=lambda candidate: candidate.path.name)
+    return _of_one_kind(candidates, file.products, problems), problems
+
+
+def _of_one_kind(
+    candidates: list[Candidate], products: ProductsSection, problems: list[PhotoProblem]
+) -> list[Candidate]:
+    """Candidates that can share a product: bands that are asked for, else as many and of the same type."""
+    kinds = Counter((len(c.info.colour_bands), c.info.dtype.name) for c in candidates)
+    if not kinds:
+        return []
+    (bands, dtype), _ = kinds.most_common(1)[0]
+    kept = []
+    for candidate in candidates:
+        info = candidate.info
+        rule, value = "", ""
+        if products.bands is not None and max(products.bands) > info.bands:
+            rule, value = f"must have band {max(products.bands)} (products.bands)", f"{info.bands} bands"
+        elif products.bands is None and len(info.colour_bands) != bands:
+            rule, value = f"must have {bands} bands like the others", f"{len(info.colour_bands)} bands"
+        elif products.dtype is None and info.dtype.name != dtype:
+            rule, value = f"must be {dtype} like the others, or products.dtype be given", info.dtype.name
+        if rule:
+            problems.append(PhotoProblem(candidate.path.name, ImageError(rule, file=info.path, value=value)))
+        else:
+            kept.append(candidate)
+    return kept
+
+
+def _camera_of(
+    index: int,
+    file: ProjectFile,
+    path: Path,
+    written: WrittenOrientations,
+    cameras: Mapping[str, Camera],
+    info: RasterInfo,
+) -> Camera:
+    known = cameras or written.camera_values
+    if not known:
+        rule = "must be given: no camera is described"
+        raise ProjectError(rule, file=path, field="camera", hint="[[camera]] with its principal distance")
+    wanted = file.photos.camera or written.cameras[index]
+    if file.photos.camera is not None and wanted not in known:
+        rule = f"must be one of {', '.join(known)}"
+        raise ProjectError(rule, file=path, field="photos.camera", value=wanted)
+    if len(known) == 1:
+        camera = next(iter(known.values()))
+    elif wanted is not None and wanted in known:
+        camera = known[wanted]
+    else:
+        # Without a name the size decides, where only one camera has it.
+        sized = [camera for camera in known.values() if camera.size_px == info.size]
+        if len(sized) != 1:
+            rule = f"must name its camera, one of {', '.join(known)}"
+            raise OrientationError(rule, file=written.source, field=written.names[index], value=wanted)
+        camera = sized[0]
+    if info.size != camera.size_px:
+        raise ImageError(
+            f"must have the {camera.size_px[0]} x {camera.size_px[1]} pixels of camera {camera.name}",
+            file=info.path,
+            value=f"{info.size[0]} x {info.size[1]}",
+        )
+    return camera
