@@ -72,7 +72,7 @@ def _run(
             futures.append(future)
         return futures
 
-    completed = as_completed(submit(islice(waiting, window)))
+    completed = as_completed(submit(islice(waiting, window)), loop=client.loop)
     try:
         for future in completed:
             result = future.result()
