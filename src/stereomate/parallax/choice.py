@@ -21,8 +21,8 @@ Floats = NDArray[np.float64]
 
 # Disparities within one degree are viewed without strain (Lambooij et al. 2009, J. Imaging Sci. Technol. 53).
 COMFORT_DEG: Final = 1.0
-# Laws whose reading errors differ by less (fraction of the object height) count as equally true: as much as the
-# logarithmic law costs where it is exact for low objects.
+# Laws whose reading errors differ by less (fraction of the object height) count as equally true: as much as
+# the logarithmic law costs where it is exact for low objects.
 _EQUALLY_TRUE: Final = 0.01
 # A law that folds on more of the ground than this is not recommended while another folds on less.
 _FOLDED_SHARE: Final = 0.001
