@@ -74,7 +74,7 @@ def closure_and_image_derivatives(
 @kernel
 def closure_variance(cl: Array, cr: Array, dlx: float, dly: float, drx: float, dry: float) -> float:
     """Variance of the closure from the covariances (xx, xy, yy) of both image points."""
-    return (
+    variance: float = (
         cl[0] * dlx * dlx
         + 2.0 * cl[1] * dlx * dly
         + cl[2] * dly * dly
@@ -82,6 +82,7 @@ def closure_variance(cl: Array, cr: Array, dlx: float, dly: float, drx: float, d
         + 2.0 * cr[1] * drx * dry
         + cr[2] * dry * dry
     )
+    return variance
 
 
 @kernel

@@ -203,7 +203,7 @@ def _determinant(rows: Array, poly: Array) -> None:
 
 @kernel
 def _value(poly: Array, degree: int, x: float) -> float:
-    v = poly[degree]
+    v: float = poly[degree]
     for i in range(degree - 1, -1, -1):
         v = v * x + poly[i]
     return v

@@ -46,7 +46,8 @@ def next_random(state: Words) -> int:
     x ^= x << np.uint64(25)
     x ^= x >> np.uint64(27)
     state[0] = x
-    return (x * np.uint64(2685821657736338717)) >> np.uint64(32)
+    number: int = (x * np.uint64(2685821657736338717)) >> np.uint64(32)
+    return number
 
 
 @kernel
@@ -93,7 +94,8 @@ def square_distance(e: Array, vl: float, vr: float, lx: float, ly: float, rx: fl
     b0 = e[0] * lx + e[3] * ly - e[6]
     b1 = e[1] * lx + e[4] * ly - e[7]
     w = lx * a0 + ly * a1 - a2
-    return w * w / (vl * (a0 * a0 + a1 * a1) + vr * (b0 * b0 + b1 * b1) + 1e-300)
+    square: float = w * w / (vl * (a0 * a0 + a1 * a1) + vr * (b0 * b0 + b1 * b1) + 1e-300)
+    return square
 
 
 @kernel
