@@ -111,7 +111,8 @@ def quaternion_from_rotation(rotation: ArrayLike) -> Array:
     best = np.argmax(diagonal, axis=-1)
     q = np.take_along_axis(candidates, best[..., None, None], axis=-2)[..., 0, :]
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    return np.where(q[..., :1] < 0, -q, q)
+    result: Array = np.where(q[..., :1] < 0, -q, q)
+    return result
 
 
 def skew(vector: ArrayLike) -> Array:
@@ -132,7 +133,8 @@ def rotation_from_vector(vector: ArrayLike) -> Array:
     safe = np.where(small, 1.0, angle)
     first = np.where(small, 1.0 - angle**2 / 6.0, np.sin(safe) / safe)
     second = np.where(small, 0.5 - angle**2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
-    return np.eye(3) + first * k + second * (k @ k)
+    result: Array = np.eye(3) + first * k + second * (k @ k)
+    return result
 
 
 def rotation_angle(rotation: ArrayLike) -> Array:
@@ -141,4 +143,7 @@ def rotation_angle(rotation: ArrayLike) -> Array:
     axis = np.stack(
         [r[..., 2, 1] - r[..., 1, 2], r[..., 0, 2] - r[..., 2, 0], r[..., 1, 0] - r[..., 0, 1]], axis=-1
     )
-    return np.arctan2(np.linalg.norm(axis, axis=-1) / 2.0, (np.trace(r, axis1=-2, axis2=-1) - 1.0) / 2.0)
+    result: Array = np.arctan2(
+        np.linalg.norm(axis, axis=-1) / 2.0, (np.trace(r, axis1=-2, axis2=-1) - 1.0) / 2.0
+    )
+    return result
