@@ -244,12 +244,15 @@ def test_lossy_codecs_come_close_and_the_mask_stays_exact(tmp_path, compression,
 )
 def test_crs_and_rotated_geotransforms_come_back(tmp_path, crs, transform):
     pixels = smooth(70, 80, 1, "uint8")
-    georeference = Georeference(crs, tuple(map(float, transform)), {"LAW": "logarithmic"})
+    georeference = Georeference(
+        crs, tuple(map(float, transform)), {"LAW": "logarithmic", "TIFFTAG_SOFTWARE": "stereomate"}
+    )
     path, _ = make(tmp_path, CogProfile("uint8", 1), pixels, georeference=georeference)
     require_valid(path)
     with rasterio.open(path) as dataset:
         assert tuple(dataset.transform)[:6] == pytest.approx(transform, rel=1e-15)
         assert dataset.tags()["LAW"] == "logarithmic"
+        assert dataset.tags()["TIFFTAG_SOFTWARE"] == "stereomate"
         expected = rasterio.CRS.from_user_input(crs) if crs else None
         assert dataset.crs == expected
 

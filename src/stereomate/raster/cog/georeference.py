@@ -25,8 +25,10 @@ from stereomate.raster.cog.statistics import BandStatistics
 from stereomate.raster.cog.tags import Tag
 from stereomate.raster.info import Affine6
 
-# ModelPixelScale, ModelTiepoint, ModelTransformation, GeoKeyDirectory, GeoDoubleParams, GeoAsciiParams
-_GEO_TAGS: Final = (33550, 33922, 34264, 34735, 34736, 34737)
+# Tags that say how the pixels of the tiny file are stored; all others are taken over.
+_STORAGE_TAGS: Final = frozenset(
+    {254, 256, 257, 258, 259, 273, 277, 278, 279, 284, 317, 322, 323, 324, 325, 339}
+)
 PHOTOMETRIC, EXTRA_SAMPLES, GDAL_METADATA, GDAL_NODATA = 262, 338, 42112, 42113
 _TEMPLATE_PX: Final = 16
 
@@ -62,14 +64,9 @@ def template_tags(
     """
     settings.current()
     data = _template(profile, georeference, statistics)
-    wanted = (*_GEO_TAGS, PHOTOMETRIC, EXTRA_SAMPLES, GDAL_METADATA, GDAL_NODATA)
     with tifffile.TiffFile(io.BytesIO(data)) as file:
-        found = file.pages[0].tags
-        return {
-            code: Tag.of_values(code, found[code].dtype, found[code].value)
-            for code in wanted
-            if code in found
-        }
+        found = {tag.code: tag for tag in file.pages[0].tags if tag.code not in _STORAGE_TAGS}
+        return {code: Tag.of_values(code, tag.dtype, tag.value) for code, tag in found.items()}
 
 
 def _template(profile: CogProfile, georeference: Georeference, statistics: Sequence[BandStatistics]) -> bytes:
