@@ -175,8 +175,8 @@ def _is_header(text: str) -> bool:
 def _separator(lines: Sequence[tuple[int, str]]) -> str:
     sample = [re.sub(r"'[^']*'|\"[^\"]*\"", "", text) for _, text in lines[:20]]
     for separator in _SEPARATORS:
-        counts = {text.count(separator) for text in sample}
-        if len(counts) == 1 and counts.pop() >= 3:
+        # The first line decides; a line with another number of columns is then reported as such.
+        if sample[0].count(separator) >= 2 and all(separator in text for text in sample):
             return separator
     return " "
 

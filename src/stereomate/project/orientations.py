@@ -156,7 +156,9 @@ def map_frame(crs: str, heights: HeightSystem, file: Path, field: str) -> MapFra
 
 def named(error: InputError, file: Path, field: str) -> InputError:
     """The same error with the file and the key it came from."""
-    more = {} if error.value is None else {"value": error.value}
+    # What the error was about first, if it said: the value, else the file (a missing geoid grid).
+    value = error.value if error.value is not None else error.file
+    more = {} if value is None else {"value": str(value) if value is error.file else value}
     return type(error)(error.rule, file=file, field=field, hint=error.hint, **more)
 
 

@@ -128,14 +128,14 @@ def _project_error(model: type[Section], complaint: Any, path: Path) -> ProjectE
         return ProjectError("is not a key of the project file", file=path, field=field, hint=hint)
     if kind == "missing" and isinstance(location[-1], int):
         return ProjectError("has too few values", file=path, field=_field(model, location[:-1]))
+    if kind == "missing":
+        return ProjectError("must be given", file=path, field=field, hint=_HINTS.get(field or ""))
     if field in _UNION_RULES:
         return ProjectError(_UNION_RULES[field], file=path, field=field, value=complaint["input"])
     if kind == "too_long":
         return ProjectError("has too many values", file=path, field=field, value=complaint["input"])
     if kind in _KINDS:
         return ProjectError(_KINDS[kind], file=path, field=field, value=complaint["input"])
-    if kind == "missing":
-        return ProjectError("must be given", file=path, field=field, hint=_HINTS.get(field or ""))
     rule = complaint["msg"].removeprefix("Value error, ").removeprefix("Input ")
     rule = rule[:1].lower() + rule[1:]
     if kind == "value_error":
