@@ -21,6 +21,11 @@ Floats = NDArray[np.float64]
 BILINEAR = 1
 CUBIC = 3
 
+# A run that leaves its row by less than this part of a cell is taken as parallel to the rows.
+_LEVEL_LINE = 1e-10
+# Samples in a cell from which on its polynomial along the line pays.
+_LONG_RUN = 16
+
 
 @inline_kernel
 def _lerp_or_void(left: float, right: float, fraction: float) -> float:
@@ -254,10 +259,15 @@ def bilinear_line(patch: Floats, col: float, row: float, dcol: float, drow: floa
             for m in range(k, end):
                 out[m] = bilinear(patch, col + m * dcol, row + m * drow)
         else:
+            # along a line both positions in the cell are linear in the step t: a parabola remains
+            fx = x - j
+            fy = y - i
+            c0 = corner + fx * along + fy * (across + fx * twist)
+            c1 = dcol * (along + fy * twist) + drow * (across + fx * twist)
+            c2 = dcol * drow * twist
             for m in range(k, end):
-                fx = col + m * dcol - 0.5 - j
-                fy = row + m * drow - 0.5 - i
-                out[m] = corner + fx * along + fy * (across + fx * twist)
+                t = float(m - k)
+                out[m] = (c2 * t + c1) * t + c0
         k = end
 
 
@@ -269,6 +279,19 @@ def _cubic_coefficients(p0: float, p1: float, p2: float, p3: float) -> tuple[flo
         0.5 * (p2 - p0),
         p0 - 2.5 * p1 + 2.0 * p2 - 0.5 * p3,
         1.5 * (p1 - p2) + 0.5 * (p3 - p0),
+    )
+
+
+@inline_kernel
+def _shifted(
+    p0: float, p1: float, p2: float, p3: float, at: float, step: float
+) -> tuple[float, float, float, float]:
+    """Coefficients in t of the cubic p at the position ``at + step t``."""
+    return (
+        ((p3 * at + p2) * at + p1) * at + p0,
+        ((3.0 * p3 * at + 2.0 * p2) * at + p1) * step,
+        (3.0 * p3 * at + p2) * step * step,
+        p3 * step * step * step,
     )
 
 
@@ -304,14 +327,32 @@ def _cubic_run(
     p10, p11, p12, p13 = _cubic_coefficients(a1, b1, c1, d1)
     p20, p21, p22, p23 = _cubic_coefficients(a2, b2, c2, d2)
     p30, p31, p32, p33 = _cubic_coefficients(a3, b3, c3, d3)
+    if end - start < _LONG_RUN:
+        for m in range(start, end):
+            fx = col + m * dcol - 0.5 - j
+            fy = row + m * drow - 0.5 - i
+            e0 = ((p03 * fy + p02) * fy + p01) * fy + p00
+            e1 = ((p13 * fy + p12) * fy + p11) * fy + p10
+            e2 = ((p23 * fy + p22) * fy + p21) * fy + p20
+            e3 = ((p33 * fy + p32) * fy + p31) * fy + p30
+            out[m] = ((e3 * fx + e2) * fx + e1) * fx + e0
+        return
+    # along a line both positions in the cell are linear in the step t: a polynomial of degree 6 remains
+    a = col + start * dcol - 0.5 - j
+    c = row + start * drow - 0.5 - i
+    r0, r1, r2, r3 = _shifted(p30, p31, p32, p33, c, drow)
+    e0, e1, e2, e3 = _shifted(p20, p21, p22, p23, c, drow)
+    s0, s1, s2, s3 = a * r0 + e0, a * r1 + dcol * r0 + e1, a * r2 + dcol * r1 + e2, a * r3 + dcol * r2 + e3
+    s4 = dcol * r3
+    e0, e1, e2, e3 = _shifted(p10, p11, p12, p13, c, drow)
+    r0, r1, r2, r3 = a * s0 + e0, a * s1 + dcol * s0 + e1, a * s2 + dcol * s1 + e2, a * s3 + dcol * s2 + e3
+    r4, r5 = a * s4 + dcol * s3, dcol * s4
+    e0, e1, e2, e3 = _shifted(p00, p01, p02, p03, c, drow)
+    s0, s1, s2, s3 = a * r0 + e0, a * r1 + dcol * r0 + e1, a * r2 + dcol * r1 + e2, a * r3 + dcol * r2 + e3
+    s4, s5, s6 = a * r4 + dcol * r3, a * r5 + dcol * r4, dcol * r5
     for m in range(start, end):
-        fx = col + m * dcol - 0.5 - j
-        fy = row + m * drow - 0.5 - i
-        e0 = ((p03 * fy + p02) * fy + p01) * fy + p00
-        e1 = ((p13 * fy + p12) * fy + p11) * fy + p10
-        e2 = ((p23 * fy + p22) * fy + p21) * fy + p20
-        e3 = ((p33 * fy + p32) * fy + p31) * fy + p30
-        out[m] = ((e3 * fx + e2) * fx + e1) * fx + e0
+        t = float(m - start)
+        out[m] = (((((s6 * t + s5) * t + s4) * t + s3) * t + s2) * t + s1) * t + s0
 
 
 @kernel
@@ -338,7 +379,7 @@ def cubic_line(patch: Floats, col: float, row: float, dcol: float, drow: float, 
                 out[m] = cubic(patch, col + m * dcol, row + m * drow)
             k = end
             continue
-        if drow == 0.0:
+        if abs(drow) * (end - k) < _LEVEL_LINE:
             p, q, r, s = _cubic_weights(y - i)
             c0, c1, c2, c3 = _cubic_coefficients(
                 p * patch[i - 1, j - 1]
