@@ -117,7 +117,7 @@ def cell_lists(
 
 
 def object_arrays(
-    buildings: Array, trees: Array, heights: Array, step: float, reach_per_height: float, cell: float = 8.0
+    buildings: Array, trees: Array, heights: Array, step: float, reach_per_height: float, cell: float
 ) -> Objects:
     """Search grid over the objects.
 
@@ -129,6 +129,8 @@ def object_arrays(
         Mesh of the terrain.
     reach_per_height : float
         How far sideways, per metre of height, the flattest ray of a photograph or of the sun travels.
+    cell : float
+        Side of the grid's cells.
     """
     boxes, tops = _boxes(buildings, trees)
     rows, cols = heights.shape

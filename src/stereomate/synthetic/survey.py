@@ -166,11 +166,14 @@ def _rotation_tangent_from_grid(world: SyntheticWorld, centres: Array, step: flo
     """Grid east, grid north and up at map points (n, 3) as columns in tangent axes (n, 3, 3).
 
     From differences of the rigorous point transformation alone, not from a formula for the convergence: what
-    the angles of a table mean is checked against this.
+    the angles of a table mean is checked against this. Grid north is taken on the ellipsoid, where the map is
+    conformal; at a flying height of 1 km its direction differs by some 1e-8, as (N + h) / (M + h) does
+    from N / M.
     """
+    feet = centres * [1.0, 1.0, 0.0]
 
     def shifted(dx: float, dy: float, dz: float) -> Array:
-        return world.tangent_from_map(centres + np.array([dx, dy, dz]))
+        return world.tangent_from_map(feet + np.array([dx, dy, dz]))
 
     up = shifted(0.0, 0.0, step) - shifted(0.0, 0.0, -step)
     up /= np.linalg.norm(up, axis=-1, keepdims=True)

@@ -10,6 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from stereomate.errors import CrsError
+from stereomate.frames.factors import grid_axes
 from stereomate.frames.heights import HeightSystem
 from stereomate.frames.mapframe import MapFrame
 from stereomate.frames.tangent import TangentFrame
@@ -28,6 +30,8 @@ Array = NDArray[np.float64]
 SUN_AZIMUTH_DEG: Final = 150.0
 SUN_ELEVATION_DEG: Final = 48.0
 LIMIT_OF_TILT: Final = 2.5  # standard deviations
+# No house or tree is taller, metres.
+_TALLEST: Final = 60.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,15 +296,34 @@ def _choose_targets(
 
 
 def make_world(options: SurveyOptions) -> SyntheticWorld:
-    """Build the world that a survey with these options flies over."""
+    """Build the world that a survey with these options flies over.
+
+    Raises
+    ------
+    CrsError
+        If the CRS is not conformal, its axes are not east and north in metres, or the block is too large.
+    """
     frame = MapFrame(options.crs, HeightSystem.ellipsoidal())
     frame.require_conformal()
+    axes = grid_axes(options.crs)
+    if axes.east_north_from_map != ((1.0, 0.0), (0.0, 1.0)) or axes.unit_m != 1.0:
+        raise CrsError("must have axes east and north in metres", field="crs", value=options.crs)
     turn = math.radians(90.0 - options.heading_deg)
     streams = [np.random.default_rng([options.seed, number]) for number in range(5)]
     shape = _extent(options)
     step = options.terrain_step_m
     extent = ((shape[1] - 1) * step, (shape[0] - 1) * step)
     terrain = _terrain(options, streams[0], shape)
+    west, north = (
+        np.round(np.array(options.centre) / step) * step + [-0.5 * extent[0], 0.5 * extent[1]]
+    ).tolist()
+    west, north = math.floor(west / step) * step, math.ceil(north / step) * step
+    low, high = float(terrain.heights.min()), options.terrain_height_m + 1.3 * options.flying_height_m
+    high = max(high, terrain.highest + _TALLEST) + 20.0
+    tangent = TangentFrame.at_map(frame, (*options.centre, options.terrain_height_m))
+    polynomial = fit_map_polynomial(
+        frame, tangent, (west, north - extent[1], low - 20.0), (west + extent[0], north, high)
+    )
     places = layout.plan(streams[1], extent, block_size(options), turn)
 
     def ground(points: Array) -> Array:
@@ -314,23 +337,14 @@ def make_world(options: SurveyOptions) -> SyntheticWorld:
     trees = layout.plant_trees(streams[2], places, houses, options.trees, ground)
     nowhere = np.zeros(2)
     reach, sun_reach = _reach(options, terrain.heights)
+    cell = max(8.0, max(extent) / 1000.0)
     objects = object_arrays(
-        building_rows(houses, nowhere), tree_rows(trees, nowhere), terrain.heights, step, reach
+        building_rows(houses, nowhere), tree_rows(trees, nowhere), terrain.heights, step, reach, cell
     )
     targets = _choose_targets(options, streams[3], places, objects, turn)
     texture = _texture(options, streams[4], places, terrain, objects, houses, trees, targets)
     texture = texture._replace(
         shadow_reach=objects.tallest * sun_reach / math.cos(math.radians(SUN_ELEVATION_DEG))
-    )
-    west, north = (
-        np.round(np.array(options.centre) / step) * step + [-0.5 * extent[0], 0.5 * extent[1]]
-    ).tolist()
-    west, north = math.floor(west / step) * step, math.ceil(north / step) * step
-    low, high = float(terrain.heights.min()), options.terrain_height_m + 1.3 * options.flying_height_m
-    high = max(high, terrain.highest + objects.tallest) + 20.0
-    tangent = TangentFrame.at_map(frame, (*options.centre, options.terrain_height_m))
-    polynomial = fit_map_polynomial(
-        frame, tangent, (west, north - extent[1], low - 20.0), (west + extent[0], north, high)
     )
     to_map = partial(_moved, origin=(west, north))
     return SyntheticWorld(
@@ -361,7 +375,7 @@ def _texture(
     targets: Array,
 ) -> Texture:
     sun = _sun()
-    mesh = min(95.0, 0.2 * min(places.extent))
+    mesh = min(max(95.0, 100.0 * options.gsd_m), 0.2 * min(places.extent))
     seeds, looks = layout.parcels(rng, places.extent, mesh, options.gsd_m)
     radius = 2.5 * options.gsd_m
     reach = 2.0 * radius + 2.0 * options.gsd_m
