@@ -15,8 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stereomate.errors import ImageError
-from stereomate.raster import open_photo
-from stereomate.raster.decoded import DECODED, DecodedCache
+from stereomate.raster import Window, open_photo
+from stereomate.raster.decoded import DECODED, DecodedCache, Decoder
 from stereomate.raster.settings import Resources, configure, current
 
 SIZE = (301, 203)
@@ -87,31 +87,72 @@ def test_a_tiff_of_one_large_strip_is_decoded_once(tmp_path):
 
 def test_a_jpeg_is_decoded_once_for_many_threads_and_forgotten_on_close(tmp_path, pixels):
     path = write(tmp_path / "photo.jpg", pixels, driver="JPEG")
-    held = DECODED.held_bytes
+    held = DECODED.held_bytes(in_memory=True)
     with open_photo(path) as photo:
         assert not photo.is_windowed
         with ThreadPoolExecutor(4) as pool:
             parts = list(pool.map(lambda _: photo.read_window(0, 0, 50, 50)[0], range(16)))
-        assert DECODED.held_bytes == held + pixels.nbytes
-    assert DECODED.held_bytes == held
+        assert DECODED.held_bytes(in_memory=True) == held + pixels.nbytes
+    assert DECODED.held_bytes(in_memory=True) == held
     assert all((part == parts[0]).all() for part in parts)
 
 
-def test_the_cache_keeps_the_most_recent_images_within_its_limit():
-    cache = DecodedCache(lambda: 250)
+def decoder_of(image: np.ndarray, log: list[str] | None = None, name: str = "") -> Decoder:
+    def slabs():
+        if log is not None:
+            log.append(name)
+        for row in range(0, image.shape[0], 7):
+            yield image[row : row + 7]
+
+    return Decoder(image.shape, image.dtype, slabs)
+
+
+def test_what_does_not_fit_in_memory_goes_to_disk_and_reads_the_same(pixels):
+    cache = DecodedCache(lambda: pixels.nbytes + 10, lambda: 10**12)
+    where = [cache.get(name, decoder_of(pixels)).in_memory for name in ("a", "b", "a", "c")]
+    assert where == [True, False, True, False]
+    for window in (Window(5, 6, 100, 50), Window(0, 10, SIZE[0], 20), Window(SIZE[0] - 1, 0, 1, SIZE[1])):
+        part = np.empty((window.rows, window.cols, 3), np.uint8)
+        for name in ("a", "b"):
+            part[...] = 0
+            cache.get(name, decoder_of(pixels)).read(window, part)
+            np.testing.assert_array_equal(part, pixels[window.row0 : window.row1, window.col0 : window.col1])
+    cache.discard("b")
+    assert (cache.held_bytes(True), cache.held_bytes(False)) == (pixels.nbytes, pixels.nbytes)
+
+
+@pytest.mark.parametrize("in_memory", [True, False])
+def test_without_room_the_photograph_not_used_for_longest_is_forgotten(in_memory):
+    image = np.zeros((10, 10, 1), np.uint8)
+    cache: DecodedCache
+    if in_memory:
+        cache = DecodedCache(lambda: 250, lambda: 0)
+    else:
+        cache = DecodedCache(lambda: 0, lambda: 250 - cache.held_bytes(False))
     decoded: list[str] = []
-
-    def image_of(name: str) -> np.ndarray:
-        def decode() -> np.ndarray:
-            decoded.append(name)
-            return np.zeros(100, np.uint8)
-
-        return cache.get(name, decode)
-
     for name in ("a", "b", "a", "c", "a", "b"):
-        image_of(name)
+        assert cache.get(name, decoder_of(image, decoded, name)).in_memory is in_memory
     assert decoded == ["a", "b", "c", "b"]
-    assert cache.held_bytes == 200
+    assert cache.held_bytes(in_memory) == 200
+
+
+def test_a_photograph_larger_than_all_limits_is_still_read():
+    image = np.ones((10, 10, 1), np.uint8)
+    cache = DecodedCache(lambda: 50, lambda: 50)
+    assert cache.get("a", decoder_of(image)).in_memory
+
+
+@pytest.mark.parametrize("driver", ["PNG", "GTiff"])
+def test_the_alpha_band_of_a_photograph_says_what_is_valid(tmp_path, pixels, driver):
+    alpha = np.zeros((*pixels.shape[:2], 1), np.uint8)
+    alpha[20:90, 30:200] = 255
+    options = {"photometric": "RGB", "alpha": "YES"} if driver == "GTiff" else {}
+    path = write(tmp_path / "photo", np.dstack([pixels, alpha]), driver=driver, **options)
+    with open_photo(path) as photo:
+        valid, window = photo.read_mask(25, 10, 100, 100)
+        assert photo.info.colour_bands == (0, 1, 2)
+    np.testing.assert_array_equal(valid, alpha[10:110, 25:125, 0] != 0)
+    assert window == (25, 10, 100, 100)
 
 
 def test_threads_read_different_windows_side_by_side(tiled, pixels):

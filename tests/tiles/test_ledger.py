@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 import json
 import os
+import subprocess
+import sys
 
 import pytest
 from hypothesis import given, settings
@@ -105,9 +107,14 @@ def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path, monkeypatch):
 
 def test_remains_of_a_killed_writer_are_swept_away(tmp_path):
     ledger = Ledger.open(tmp_path, "k")
-    (tmp_path / "chunks" / ".x.part").write_bytes(b"half")
+    job = subprocess.Popen([sys.executable, "-c", ""])
+    job.wait()
+    (tmp_path / "chunks" / f".000001.chunk.{job.pid}-01234567.part").write_bytes(b"half")
+    alive = tmp_path / "chunks" / f".000001.chunk.{os.getppid()}-01234567.part"
+    alive.write_bytes(b"being written by another process")
     Ledger.open(tmp_path, "k")
-    assert list((tmp_path / "chunks").iterdir()) == []
+    assert list((tmp_path / "chunks").iterdir()) == [alive]
+    alive.unlink()
     ledger.put(0, BLOBS)
     ledger.remove()
     assert not tmp_path.exists()

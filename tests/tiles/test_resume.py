@@ -37,6 +37,12 @@ def finish(job: subprocess.Popen[str]) -> str:
     return out
 
 
+def dead_process() -> int:
+    job = subprocess.Popen([sys.executable, "-c", ""])
+    job.wait()
+    return job.pid
+
+
 def products(folder: Path) -> dict[str, bytes]:
     return {name: (folder / name).read_bytes() for name in NAMES}
 
@@ -103,7 +109,7 @@ def test_an_old_product_stays_until_the_new_one_is_complete(tmp_path):
 
 
 def test_what_a_killed_assembly_left_is_swept_away(tmp_path, undisturbed):
-    (tmp_path / ".picture.tif.0123456789ab.part").write_bytes(b"half")
+    (tmp_path / f".picture.tif.{dead_process()}-01234567.part").write_bytes(b"half")
     tile_job.make(tmp_path)
     assert not list(tmp_path.glob(".*.part"))
     assert products(tmp_path) == undisturbed

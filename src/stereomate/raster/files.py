@@ -50,7 +50,7 @@ def replacing(path: str | os.PathLike[str], durable: bool = False) -> Iterator[I
     target = Path(path)
     with storing(target):
         # Not mkstemp: its files are private, and the umask cannot be read without setting it.
-        name = target.with_name(f".{target.name}.{secrets.token_hex(6)}.part")
+        name = target.with_name(f".{target.name}.{os.getpid()}-{secrets.token_hex(4)}.part")
         try:
             with open(name, "xb", buffering=0) as file:
                 yield file
@@ -61,6 +61,27 @@ def replacing(path: str | os.PathLike[str], durable: bool = False) -> Iterator[I
             with contextlib.suppress(OSError):
                 name.unlink()
             raise
+
+
+def sweep(folder: Path, name: str = "*") -> None:
+    """Remove what killed processes left of the files of a name in a folder; leave that of living ones."""
+    for path in folder.glob(f".{name}.*.part"):
+        process = path.name.split(".")[-2].split("-")[0]
+        if not (process.isdigit() and _is_alive(int(process))):
+            path.unlink(missing_ok=True)
+
+
+def _is_alive(process: int) -> bool:
+    if os.name != "posix" or process == os.getpid():
+        # On Windows the question would end the process; a file of this one is being written by a thread.
+        return os.name == "posix"
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
 
 
 def write_all(file: IO[bytes], parts: Iterable[Buffer]) -> None:

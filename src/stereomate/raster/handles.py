@@ -21,7 +21,7 @@ from stereomate.raster.scratch import SCRATCH
 from stereomate.raster.windows import Window
 
 _SLAB_BYTES: Final = 2 * 1024**2
-_LARGEST_SLAB_BYTES: Final = 32 * 1024**2
+LARGEST_SLAB_BYTES: Final = 32 * 1024**2
 
 
 class Handles:
@@ -83,19 +83,19 @@ def reading(path: Path) -> Iterator[None]:
 def read_pixels(path: Path, handle: Any, window: Window, out: NDArray[Any]) -> None:
     """All bands of a window, into `out` of shape (rows, cols, bands), C-contiguous."""
     block_bytes = min(handle.block_shapes[0][0], handle.height) * window.cols * handle.count * out.itemsize
-    if handle.count == 1 or block_bytes > _LARGEST_SLAB_BYTES:
+    if handle.count == 1 or block_bytes > LARGEST_SLAB_BYTES:
         with reading(path):
             handle.read(window=gdal_window(window), out=out.transpose(2, 0, 1))
         return
     # GDAL interleaves bands four times slower than the kernel does; in slabs the planes stay in the cache.
-    for slab in _slabs(handle, window, out.itemsize):
+    for slab in slabs_of(handle, window, out.itemsize):
         planes = SCRATCH.array("planes", (handle.count, slab.rows, slab.cols), out.dtype)
         with reading(path):
             handle.read(window=gdal_window(slab), out=planes)
         interleave(planes, out[slab.row0 - window.row0 : slab.row1 - window.row0])
 
 
-def _slabs(handle: Any, window: Window, itemsize: int) -> Iterator[Window]:
+def slabs_of(handle: Any, window: Window, itemsize: int) -> Iterator[Window]:
     """Parts of a window, from left to right edge, that end where blocks do: no block is decoded twice."""
     block_rows = min(handle.block_shapes[0][0], handle.height)
     block_bytes = block_rows * window.cols * handle.count * itemsize

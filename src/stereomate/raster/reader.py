@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, cast
@@ -16,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.errors import ImageError
-from stereomate.raster.decoded import DECODED
-from stereomate.raster.handles import Handles, gdal_window, read_pixels, reading
+from stereomate.raster.decoded import DECODED, Decoder
+from stereomate.raster.handles import LARGEST_SLAB_BYTES, Handles, gdal_window, read_pixels, reading, slabs_of
 from stereomate.raster.info import info_of
+from stereomate.raster.scratch import SCRATCH
 from stereomate.raster.windows import Window
 
 
@@ -112,7 +114,8 @@ class PhotoReader:
             with self._handles.lend() as handle:
                 read_pixels(self.path, handle, window, pixels)
         else:
-            pixels[...] = self._whole()[window.row0 : window.row1, window.col0 : window.col1]
+            decoder = Decoder((self.size[1], self.size[0], self.bands), self.dtype, self._slabs)
+            DECODED.get(_cache_key(self.path), decoder).read(window, pixels)
         return pixels, window
 
     def read_mask(self, col0: int, row0: int, cols: int, rows: int) -> tuple[NDArray[np.bool_], Window]:
@@ -129,9 +132,18 @@ class PhotoReader:
         window = Window(col0, row0, cols, rows).clamped(self.size)
         if window.is_empty or not (self.info.has_mask or self.info.nodata is not None):
             return np.ones((window.rows, window.cols), np.bool_), window
+        if not self.is_windowed and (self.info.alpha_band is not None or not self.info.has_mask):
+            return self._mask_of_pixels(window), window
         with self._handles.lend() as handle, reading(self.path):
             mask = handle.dataset_mask(window=gdal_window(window))
         return cast(NDArray[np.bool_], mask != 0), window
+
+    def _mask_of_pixels(self, window: Window) -> NDArray[np.bool_]:
+        """The mask of a format without windows from its decoded pixels: GDAL would decode them again."""
+        pixels, _ = self.read_window(*window)
+        if self.info.alpha_band is not None:
+            return cast(NDArray[np.bool_], pixels[..., self.info.alpha_band] != 0)
+        return cast(NDArray[np.bool_], (pixels != self.info.nodata).any(axis=2))
 
     def require_complete(self) -> None:
         """Find out, without decoding pixels where the format allows it, whether the file was cut off.
@@ -152,16 +164,20 @@ class PhotoReader:
         DECODED.discard(_cache_key(self.path))
         self._handles.close()
 
-    def _whole(self) -> NDArray[Any]:
-        def decode() -> NDArray[Any]:
-            if self.info.driver == "PNG":
-                _require_png_end(self.path)
-            whole = np.empty((self.size[1], self.size[0], self.bands), self.dtype)
-            with self._handles.lend() as handle:
-                read_pixels(self.path, handle, Window(0, 0, *self.size), whole)
-            return whole
+    def _slabs(self) -> Iterator[NDArray[Any]]:
+        """The whole image, top down, decoded once."""
+        if self.info.driver == "PNG":
+            _require_png_end(self.path)
+        with self._handles.lend() as handle:
+            for window in slabs_of(handle, Window(0, 0, *self.size), self.dtype.itemsize):
+                slab = self._slab_buffer((window.rows, window.cols, self.bands))
+                read_pixels(self.path, handle, window, slab)
+                yield slab
 
-        return DECODED.get(_cache_key(self.path), decode)
+    def _slab_buffer(self, shape: tuple[int, int, int]) -> NDArray[Any]:
+        # An image that is one strip comes as one slab: too large to be kept by the thread.
+        large = math.prod(shape) * self.dtype.itemsize > LARGEST_SLAB_BYTES
+        return np.empty(shape, self.dtype) if large else SCRATCH.array("slab", shape, self.dtype)
 
 
 def open_photo(path: str | os.PathLike[str]) -> PhotoReader:

@@ -58,7 +58,7 @@ class Resources:
 
     @property
     def decoded_cache_bytes(self) -> int:
-        """Decoded photographs of formats without windows that are kept for the next task."""
+        """Decoded photographs of formats without windows that stay in memory, not in temporary files."""
         return self.memory_bytes // 2
 
     @classmethod

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 from stereomate.errors import FormatError, StorageError
-from stereomate.raster.files import Buffer, storing, write_whole
+from stereomate.raster.files import Buffer, storing, sweep, write_whole
 
 LEDGER_FORMAT: Final = 1
 
@@ -88,7 +88,7 @@ class Ledger:
                 text = json.dumps({"format": LEDGER_FORMAT, "key": key}, indent=1) + "\n"
                 write_whole(ledger._manifest_path, [text.encode()])
             ledger._chunks_folder.mkdir(exist_ok=True)
-            ledger._remove_temporary()
+            sweep(ledger._chunks_folder)
         return ledger
 
     def has(self, index: int) -> bool:
@@ -204,12 +204,8 @@ class Ledger:
         self._manifest_path.unlink(missing_ok=True)
         for path in self._chunks_folder.glob("*.chunk"):
             path.unlink()
-        self._remove_temporary()
+        sweep(self._chunks_folder)
         self._known.clear()
-
-    def _remove_temporary(self) -> None:
-        for path in self._chunks_folder.glob(".*.part"):
-            path.unlink(missing_ok=True)
 
 
 def _verified_index(path: Path) -> dict[str, _Blob] | None:

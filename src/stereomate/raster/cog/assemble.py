@@ -37,7 +37,7 @@ from stereomate.raster.cog.layout import (
 from stereomate.raster.cog.profile import CogProfile
 from stereomate.raster.cog.statistics import BandStatistics, merged
 from stereomate.raster.cog.tags import Directory, Tag, header_bytes, header_size
-from stereomate.raster.files import replacing, storing, write_all
+from stereomate.raster.files import replacing, storing, sweep, write_all
 from stereomate.raster.scratch import SCRATCH
 
 _CLASSIC_LIMIT: Final = 2**32 - 1
@@ -120,18 +120,12 @@ def assemble_cog(
         statistics = assembly.index_chunks()
         assembly.make_upper_levels()
         tags = template_tags(profile, georeference, statistics)
-        _sweep(target)
+        sweep(target.parent, glob.escape(target.name))
         with replacing(target, durable=True) as file:
             write_all(file, [assembly.header(tags)])
             for index in reversed(assembly.levels):
                 write_all(file, assembly.tiles_of(index))
     return statistics
-
-
-def _sweep(target: Path) -> None:
-    """Remove what a killed process left of this file."""
-    for path in target.parent.glob(f".{glob.escape(target.name)}.*.part"):
-        path.unlink(missing_ok=True)
 
 
 class _Assembly:
