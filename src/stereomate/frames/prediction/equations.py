@@ -38,6 +38,19 @@ def _scaled(scale: ArrayLike, difference: Array) -> Array:
     return np.asarray((np.asarray(scale, dtype=np.float64) - 1.0) * difference, dtype=np.float64)
 
 
+def ground_level_relief_error(
+    h_point: ArrayLike, h_control: ArrayLike, h_centre: ArrayLike, radius: float
+) -> Array:
+    """What a curvature correction that keeps distances at ground level adds to equation (3): (metres).
+
+    ``(h_N - h_GCP)/R (h_PRC - h_N)``: the scale of the control's height is forced on a point of another
+    height.
+    """
+    point = np.asarray(h_point, dtype=np.float64)
+    above = point - np.asarray(h_control, dtype=np.float64)
+    return np.asarray(above / radius * (np.asarray(h_centre, dtype=np.float64) - point), dtype=np.float64)
+
+
 def curvature_deformation(s1: ArrayLike, base: ArrayLike, across: ArrayLike, radius: float) -> Array:
     """Height error of a point of a pair if Earth curvature is not corrected (metres).
 
