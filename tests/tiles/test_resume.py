@@ -138,6 +138,16 @@ def test_two_worker_processes_of_dask_give_the_same_bytes(tmp_path, undisturbed)
 
 
 @pytest.mark.slow
+def test_workers_that_die_are_one_error(tmp_path, monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setenv("DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES", "0")
+    job = start(tmp_path, "--dask-workers", "1", "--pause", "-1")
+    _, errors = job.communicate(timeout=120)
+    assert job.returncode == 1
+    assert re.search(r"StereomateError: .*: workers died over Chunk\(index=\d", errors)
+
+
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_size_of_the_product(tmp_path):
     peaks = []
     for cols in (4000, 40000):

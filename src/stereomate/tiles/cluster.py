@@ -11,7 +11,7 @@ from itertools import islice
 from typing import Any, Final, TypeVar
 
 from stereomate import __version__
-from stereomate.errors import InputError
+from stereomate.errors import InputError, StereomateError
 from stereomate.tiles.threads import limit_library_threads
 
 Item = TypeVar("Item")
@@ -35,6 +35,8 @@ def run_on_cluster(
     InputError
         If dask.distributed is not installed, no scheduler answers, no workers are there, or they have
         another version of stereomate.
+    StereomateError
+        If workers die over a task again and again.
     """
     try:
         from distributed import Client
@@ -57,7 +59,7 @@ def _run(
     items: Sequence[Item],
     sink: Callable[[Item, Result], None],
 ) -> None:
-    from distributed import as_completed
+    from distributed import KilledWorker, as_completed
 
     window = _IN_FLIGHT_PER_THREAD * _require_workers(client, address)
     waiting = iter(items)
@@ -75,7 +77,12 @@ def _run(
     completed = as_completed(submit(islice(waiting, window)), loop=client.loop)
     try:
         for future in completed:
-            result = future.result()
+            try:
+                result = future.result()
+            except KilledWorker as error:
+                raise StereomateError(
+                    f"{address}: workers died over {item_of[future]} (out of memory?)"
+                ) from error
             sink(item_of.pop(future), result)
             future.release()
             for next_one in submit(islice(waiting, 1)):
