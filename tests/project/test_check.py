@@ -42,7 +42,7 @@ def test_figures_of_the_small_project(small):
     assert pair.azimuth_deg == pytest.approx(90.0)
     assert pair.serves
     (product,) = report.products
-    assert product.files == ("ortho.tif", "mate.tif")
+    assert product.files == ("ortho.tif", "mate.tif", "lineage.tif")
     assert (product.gsd, product.bands, product.dtype, product.models) == (1.0, 3, "uint8", 1)
     assert (product.law, product.reference_m) == ("logarithmic", 200.0)
     assert product.base_m == pytest.approx(24.0, abs=0.02)
@@ -50,7 +50,7 @@ def test_figures_of_the_small_project(small):
     columns, rows = product.size_px
     assert columns == pytest.approx(84, abs=2)
     assert rows == pytest.approx(40, abs=2)
-    assert product.megabytes == pytest.approx(columns * rows * 3 * 2 * 4 / 3 / 1e6)
+    assert product.megabytes == pytest.approx(columns * rows * (3 + 2) * 2 * 4 / 3 / 1e6)
     assert report.terrain is not None
     assert (report.terrain.lowest, report.terrain.highest) == (200.0, 200.0)
     assert report.terrain.resolution_m == pytest.approx(5.0, rel=1e-3)
@@ -62,7 +62,7 @@ def test_no_pair_is_said_and_an_orthophoto_is_left(small):
     assert not report.is_good
     assert "no two photographs make a model" in report.problems[0]
     (product,) = report.products
-    assert product.files == ("ortho.tif",)
+    assert product.files == ("ortho.tif", "lineage.tif")
     assert product.base_m is None
 
 
@@ -90,7 +90,7 @@ def test_tables(small, capsys):
         "overlap",
         "base/height",
         "heights.tif",
-        "ortho.tif, mate.tif",
+        "ortho.tif, mate.tif, lineage.tif",
         "logarithmic",
         "Notes",
     ):
@@ -102,7 +102,7 @@ def test_json(small, capsys):
     value = json.loads(out)
     assert (code, value["good"], value["problems"]) == (0, True, [])
     assert {row["name"] for row in value["photographs"]} == {"photo_1", "photo_2"}
-    assert value["products"][0]["files"] == ["ortho.tif", "mate.tif"]
+    assert value["products"][0]["files"] == ["ortho.tif", "mate.tif", "lineage.tif"]
     assert math.isfinite(value["pairs"][0]["base_height"])
 
 
@@ -114,3 +114,16 @@ def test_markup_in_names_is_text(small, capsys):
     small.replace("project.toml", "photo_*.tif", "*photo_*.tif")
     _, out, _ = run(capsys, "check", str(small.path))
     assert "[red]photo_1" in out
+
+
+def test_sheets_are_products(small):
+    ring = "[[511980, 5399990], [512010, 5399990], [512010, 5400010], [511980, 5400010], [511980, 5399990]]"
+    geometry = f'{{"type": "Polygon", "coordinates": [{ring}]}}'
+    feature = f'{{"type": "Feature", "properties": {{"name": "A1"}}, "geometry": {geometry}}}'
+    crs = '{"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::25832"}}'
+    text = f'{{"type": "FeatureCollection", "crs": {crs}, "features": [{feature}]}}'
+    small.write("sheets.geojson", text)
+    small.replace("project.toml", "gsd = 1.0", 'gsd = 1.0\nsheets = "sheets.geojson"')
+    (product,) = check_project(load(small.path)).products
+    assert product.files == ("ortho_A1.tif", "mate_A1.tif", "lineage_A1.tif")
+    assert product.size_px == (30, 20)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 
 from stereomate.coverage.footprints import Footprint
 from stereomate.coverage.pairs import Pair
@@ -12,9 +11,9 @@ from stereomate.coverage.summary import Coverage, survey_coverage
 from stereomate.errors import CoverageError
 from stereomate.project.compare import Comparison
 from stereomate.project.model import Project
+from stereomate.project.run import RunOptions, plan
 from stereomate.rectify.job import RectifyJob
 from stereomate.rectify.layout import MIN_OVERLAP
-from stereomate.rectify.planning import Request, plan_products
 from stereomate.terrain.model import HeightModel
 
 # Products much finer than the photographs only grow; the user should know.
@@ -66,7 +65,7 @@ class TerrainRow:
 
 @dataclass(frozen=True)
 class ProductRow:
-    """One orthophoto with its stereomate, if it has one."""
+    """One orthophoto with its stereomate, if it has one, and the photograph each pixel is from."""
 
     name: str
     files: tuple[str, ...]
@@ -135,7 +134,7 @@ def check_project(project: Project) -> CheckReport:
     if heights is None:
         problems.append(f"{project.path}: terrain: must be given to make products")
     else:
-        jobs = _jobs(project, heights, coverage, problems)
+        jobs = _jobs(project, problems)
     _doubts(project, coverage, jobs, warnings)
     if project.comparison is not None and not project.comparison.is_same:
         warnings.append(project.comparison.sentence)
@@ -157,37 +156,20 @@ def check_project(project: Project) -> CheckReport:
     )
 
 
-def product_request(project: Project, *, stereo: bool = True) -> Request:
-    """What is asked of the planner: bands and type of the photographs unless the options say others."""
-    info = next(iter(project.infos.values()))
-    options = project.options
-    bands = info.colour_bands if options.bands is None else tuple(band - 1 for band in options.bands)
-    dtype = options.dtype or info.dtype.name
-    return Request(
-        stereo=stereo, pairs=project.pairs if stereo else None, area=project.area, bands=bands, dtype=dtype
-    )
-
-
 def _plane(project: Project) -> float:
     raise CoverageError(
         "needs a height model: without one nothing says where the ground is", file=project.path
     )
 
 
-def _jobs(
-    project: Project, heights: HeightModel, coverage: Coverage, problems: list[str]
-) -> list[RectifyJob]:
-    """Jobs of the products; an orthophoto alone where no pair serves, which is said."""
-    try:
-        return plan_products(project.survey, heights, coverage, project.options, product_request(project))
-    except CoverageError as error:
-        problems.append(f"no stereomate: {error}")
-    try:
-        request = product_request(project, stereo=False)
-        return plan_products(project.survey, heights, coverage, project.options, request)
-    except CoverageError as error:
-        problems.append(f"no orthophoto: {error}")
-        return []
+def _jobs(project: Project, problems: list[str]) -> list[RectifyJob]:
+    """Jobs that `run` would make; an orthophoto alone where no pair serves, which is said."""
+    for stereo, what in ((True, "stereomate"), (False, "orthophoto")):
+        try:
+            return plan(project, RunOptions(stereo=stereo))[1]
+        except CoverageError as error:
+            problems.append(f"no {what}: {error}")
+    return []
 
 
 def _doubts(project: Project, coverage: Coverage, jobs: list[RectifyJob], warnings: list[str]) -> None:
@@ -261,13 +243,15 @@ def _terrain_row(heights: HeightModel, coverage: Coverage) -> TerrainRow:
 
 def _product_row(job: RectifyJob) -> ProductRow:
     columns, rows = job.grid.size
-    ortho = f"ortho{job.name}.tif"
-    files = (ortho, f"mate{job.name}.tif") if job.is_stereo else (ortho,)
+    suffix = f"_{job.name}" if job.name else ""
+    rasters = ("ortho", "mate") if job.is_stereo else ("ortho",)
     overviews = 4.0 / 3.0 if job.options.overviews else 1.0
-    size = columns * rows * len(job.bands) * job.dtype.itemsize * len(files) * overviews
+    # The lineage has one band of two bytes for each of them.
+    per_pixel = len(rasters) * (len(job.bands) * job.dtype.itemsize + 2)
+    files = tuple(f"{name}{suffix}.tif" for name in (*rasters, "lineage"))
     stereo = job.is_stereo
     return ProductRow(
-        name=Path(ortho).stem,
+        name=job.name,
         files=files,
         size_px=job.grid.size,
         gsd=job.grid.gsd,
@@ -279,5 +263,5 @@ def _product_row(job: RectifyJob) -> ProductRow:
         base_m=job.law.base_m if stereo else None,
         w0_m=job.law.w0_m if stereo else None,
         reference_m=job.law.reference_m if stereo else None,
-        megabytes=size / 1e6,
+        megabytes=columns * rows * per_pixel * overviews / 1e6,
     )
