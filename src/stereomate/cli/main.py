@@ -25,6 +25,8 @@ COMMANDS: Final = (
     "init",
     "check",
     "run",
+    "overcorrection",
+    "empirical",
 )
 
 # Global options may stand before or after the command; the value says whether an argument follows.

@@ -30,7 +30,7 @@ def operator_notes(run: EmpiricalRun, every_round: bool = False) -> str:
     """
     lines = [
         f"start: {_settings_text(run, 0)}",
-        f"       largest y-parallax {_metres(run.largest[0])} m",
+        f"       largest y-parallax {_metres(run.largest[0]).lstrip('+')} m",
     ]
     for cycle in sorted({note.cycle for note in run.notes}):
         lines += ["", f"cycle {cycle}"]
@@ -42,7 +42,7 @@ def operator_notes(run: EmpiricalRun, every_round: bool = False) -> str:
             elif place + 1 == len(notes) or notes[place + 1].round < note.round:
                 lines.append(f"  points cleared again, {note.round} rounds in all")
         if cycle < len(run.settings):
-            lines.append(f"  largest y-parallax now {_metres(run.largest[cycle])} m")
+            lines.append(f"  largest y-parallax now {_metres(run.largest[cycle]).lstrip('+')} m")
             lines.append(f"  {_settings_text(run, cycle)}")
     lines += ["", f"{run.outcome}: {run.reason}"]
     return "\n".join(lines)

@@ -1,0 +1,1 @@
+"""Figures and HTML of the results; the only place that imports matplotlib."""
