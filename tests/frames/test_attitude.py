@@ -1,5 +1,7 @@
 """Attitudes: all golden rotations, every convention there and back, left-handed maps and their twins."""
 
+import csv
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -218,3 +220,40 @@ def test_packed_degrees_and_gon():
     np.testing.assert_allclose(written_from_axes(expected, opk), (0.0, 0.0, 12.3456), atol=1e-12)
     gon = AttitudeConvention("opk", "local", "gon")
     np.testing.assert_allclose(axes_from_camera((0.0, 0.0, 100.0), gon), rotation_z(np.pi / 2), atol=1e-15)
+
+
+@pytest.mark.real
+def test_the_drone_table_and_its_gimbal_angles(data_folder):
+    """Adjusted omega-phi-kappa against the raw roll-pitch-yaw: 0.5 to 1.5 degrees apart."""
+    folder = data_folder / "odm_tuniu" / "odm"
+    adjusted, raw = {}, {}
+    with (folder.parent / "odm_xyz_opk.csv").open() as lines:
+        for row in csv.reader(lines, delimiter=" ", quotechar="'"):
+            if row[0] != "filename":
+                adjusted[row[0]] = np.array(row[1:7], dtype=float)
+    with (folder.parent / "odm_lla_rpy.csv").open() as lines:
+        for row in csv.reader(lines, delimiter=" "):
+            if row[0] != "filename":
+                raw[row[0].removesuffix(".tif")] = np.array(row[1:7], dtype=float)
+    assert set(adjusted) == set(raw)
+    frame = MapFrame("EPSG:32651", HeightSystem.undeclared())
+    names = sorted(adjusted)
+    table = np.array([adjusted[name] for name in names])
+    tangent = TangentFrame.at_map(frame, table[:, :3].mean(axis=0))
+    centres = tangent_from_map(tangent, frame, table[:, :3])
+    opk = AttitudeConvention("opk", "grid", "deg")
+    rph = AttitudeConvention("rph", "local", "deg", mount="y_forward")
+    rotations = object_from_camera(table[:, 3:], opk, tangent, centres, frame)
+    gimbal = object_from_camera(np.array([raw[name][3:] for name in names]), rph, tangent, centres, frame)
+    apart = np.rad2deg(rotation_angle(np.swapaxes(rotations, -1, -2) @ gimbal))
+    assert apart.min() > 0.4
+    assert apart.max() < 1.6
+    # Re-expressed as roll, pitch and heading from true north, the adjusted table is the same orientation.
+    written = written_attitude(rotations, rph, tangent, centres, frame)
+    np.testing.assert_allclose(
+        object_from_camera(written, rph, tangent, centres, frame), rotations, rtol=0, atol=1e-12
+    )
+    # Grid and true north lie 0.86 degrees apart here: reading the table in local axes would be that wrong.
+    local = object_from_camera(table[:, 3:], AttitudeConvention("opk", "local"), tangent, centres, frame)
+    wrong = np.rad2deg(rotation_angle(np.swapaxes(rotations, -1, -2) @ local))
+    np.testing.assert_allclose(wrong, 0.86, atol=0.01)
