@@ -130,6 +130,40 @@ def test_other_crs_and_heights() -> None:
     assert mapped[0, 2] == pytest.approx(float(model.heights_at(mapped[0, :2])), abs=1e-6)
 
 
+@pytest.mark.parametrize("depth", [-300.0, -700.0, -9000.0])
+def test_deep_ground_is_reached(depth: float) -> None:
+    """Below sea level, where the search for the part of the model under the rays has to go deeper."""
+    base = terrain()
+    heights = base.patch(0, 0, 400, 400).heights
+    deep = HeightModel.from_array(heights - 400.0 + depth, base.affine, FRAME)
+    starts, directions = rays(20, 6, tilt=0.2)
+    found = ground_distances(deep, TANGENT, starts, directions)
+    assert np.isfinite(found).all()
+    for start, direction, s in zip(starts, directions, found, strict=True):
+        assert abs(clearance(deep, start, direction, s)[0]) < 1e-6
+
+
+def test_only_the_part_under_the_rays_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("stereomate.terrain.model._BLOCK", 40)
+    model = terrain()
+    read: list[tuple[int, int, int, int]] = []
+    patch = HeightModel.patch
+
+    def counted(self: HeightModel, *window: int):
+        read.append(window)
+        return patch(self, *window)
+
+    monkeypatch.setattr(HeightModel, "patch", counted)
+    starts = tangent_from_map(TANGENT, FRAME, [(X0 - 1500.0, Y0 + 1500.0, 1500.0)])
+    found = ground_distances(model, TANGENT, starts, np.array([[0.1, 0.05, -1.0]]) / np.sqrt(1.0125))
+    assert np.isfinite(found[0])
+    # pixel 125, 125 of 400: nothing of the far half is touched, and the same blocks are not read again
+    assert max(col0 + cols for col0, _, cols, _ in read) <= 200
+    before = len(read)
+    ground_distances(model, TANGENT, starts, np.array([[0.1, 0.05, -1.0]]) / np.sqrt(1.0125))
+    assert len(read) - before == 3
+
+
 @pytest.mark.real
 def test_real_relief(data_folder: Path) -> None:
     """SRTM around Mont Ventoux: 2.7 km of relief, oblique rays, chords of several kilometres."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -60,16 +60,35 @@ class Footprint:
 
 @dataclass(frozen=True)
 class _View:
-    """Rays of a set of pixels in the tangent frame, unit vectors, and the local vertical at the centre."""
+    """Rays of a set of pixels in the tangent frame, unit vectors, and the local vertical at the centre.
 
+    ``distances`` to the ground are NaN where a ray does not meet it.
+    """
+
+    pixels: Floats
     centre: Floats
     up: Floats
     directions: Floats
+    distances: Floats
 
     @property
     def sink(self) -> Floats:
         """Sine of the angle by which each ray comes down."""
         return np.asarray(-self.directions @ self.up)
+
+    @property
+    def points(self) -> Floats:
+        """Ground points in the tangent frame."""
+        return self.centre + self.distances[:, None] * self.directions
+
+    def part(self, which: NDArray[np.bool_]) -> _View:
+        """Some of the rays."""
+        return replace(
+            self,
+            pixels=self.pixels[which],
+            directions=self.directions[which],
+            distances=self.distances[which],
+        )
 
 
 def footprint(survey: Survey, photograph: Photograph, ground: HeightModel | float) -> Footprint:
@@ -92,11 +111,13 @@ def footprint(survey: Survey, photograph: Photograph, ground: HeightModel | floa
     CoverageError
         If no ray of it meets the height model, or its centre is below the ground.
     """
-    grid_px, border_px = _pixels(photograph)
-    grid = _view(survey, photograph, grid_px)
-    _require_downwards(photograph, grid)
-    level, covered = _ground_level(survey, photograph, ground, grid)
-    centre = map_from_tangent(survey.tangent, survey.frame, np.asarray(photograph.orientation.centre))
+    view = _view(survey, photograph)
+    on_border = ~_inside(view.pixels, photograph.camera.size_px)
+    _require_downwards(photograph, view.part(~on_border))
+    steep = view.sink >= math.sin(_SHALLOWEST)
+    view = _on_surface(survey, view, steep, ground)
+    level, covered = _ground_level(survey, photograph, ground, view.part(steep & ~on_border))
+    centre = map_from_tangent(survey.tangent, survey.frame, view.centre)
     height = float(centre[2] - level) * height_unit_m(survey.frame.heights)
     if not height > 0.0:
         raise CoverageError(
@@ -105,23 +126,12 @@ def footprint(survey: Survey, photograph: Photograph, ground: HeightModel | floa
             value=round(float(centre[2]), 1),
             hint="are the heights of orientation and height model in the systems that are stated?",
         )
-    border = _view(survey, photograph, border_px)
-    shallow = bool((border.sink < math.sin(_SHALLOWEST)).any())
-    outline = _steep_part(grid) if shallow else border
-    distances = _distances(survey, ground, outline, level)
-    points = outline.centre + distances[:, None] * outline.directions
-    mapped = map_from_tangent(survey.tangent, survey.frame, points[np.isfinite(distances)])[:, :2]
-    if shallow:
-        polygon = shapely.MultiPoint(mapped).convex_hull
-    else:
-        polygon = _valid_polygon(mapped)
-    if polygon.geom_type != "Polygon" or polygon.area == 0.0:
-        raise CoverageError("its footprint has no area", field=f"photograph {photograph.name}")
-    sizes = _pixel_sizes(survey, photograph, ground, grid_px, level)
-    tilt = math.degrees(math.acos(min(1.0, -float(photograph.orientation.viewing_direction @ grid.up))))
+    view = _completed(survey, view, level)
+    sizes = _pixel_sizes(photograph, view.part(steep & ~on_border))
+    tilt = math.degrees(math.acos(min(1.0, -float(photograph.orientation.viewing_direction @ view.up))))
     return Footprint(
         name=photograph.name,
-        polygon=polygon,
+        polygon=_polygon(survey, photograph, view, on_border, steep),
         covered=covered,
         ground_m=level,
         height_above_ground_m=height,
@@ -132,19 +142,25 @@ def footprint(survey: Survey, photograph: Photograph, ground: HeightModel | floa
     )
 
 
-def _pixels(photograph: Photograph) -> tuple[Floats, Floats]:
-    """Pixels of a grid over the photograph (centres of its cells), and of its border as an open loop."""
-    size = np.array(photograph.camera.size_px, np.float64)
+def _pixels(size_px: tuple[int, int]) -> Floats:
+    """Pixels of the border of a photograph as an open loop, and the cell centres of a grid over it."""
     steps = (np.arange(_GRID) + 0.5) / _GRID
-    grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2) * size
+    grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     t = np.arange(_BORDER) / _BORDER
     zero, one = np.zeros(_BORDER), np.ones(_BORDER)
     sides = [(t, zero), (one, t), (1.0 - t, one), (zero, 1.0 - t)]
-    border = np.concatenate([np.stack(side, axis=-1) for side in sides]) * size
-    return grid, border
+    return np.concatenate([*(np.stack(side, axis=-1) for side in sides), grid]) * np.array(
+        size_px, np.float64
+    )
 
 
-def _view(survey: Survey, photograph: Photograph, pixels: Floats) -> _View:
+def _inside(pixels: Floats, size_px: tuple[int, int]) -> NDArray[np.bool_]:
+    return np.asarray(((pixels > 0.0) & (pixels < np.array(size_px))).all(axis=1))
+
+
+def _view(survey: Survey, photograph: Photograph) -> _View:
+    """Rays of grid and border; pixels beyond the monotonic range of the distortion have none."""
+    pixels = _pixels(photograph.camera.size_px)
     rays = photograph.camera.rays_from_image(pixels)
     known = np.isfinite(rays).all(axis=1)
     directions = rays[known] @ photograph.orientation.object_from_camera.T
@@ -152,12 +168,33 @@ def _view(survey: Survey, photograph: Photograph, pixels: Floats) -> _View:
     centre = np.asarray(photograph.orientation.centre, np.float64)
     lon, lat, _ = survey.tangent.geodetic_from_tangent(centre)
     up = np.asarray(survey.tangent.rotation_tangent_from_enu(lon, lat)[:, 2], np.float64)
-    return _View(centre, up, directions)
+    return _View(pixels[known], centre, up, directions, np.full(len(directions), np.nan))
+
+
+def _on_surface(survey: Survey, view: _View, steep: NDArray[np.bool_], ground: HeightModel | float) -> _View:
+    """The view with distances to the surface of the height model, for rays that come down steeply enough."""
+    if not isinstance(ground, HeightModel):
+        return view
+    distances = view.distances.copy()
+    distances[steep] = ground_distances(ground, survey.tangent, view.centre[None], view.directions[steep])
+    return replace(view, distances=distances)
+
+
+def _completed(survey: Survey, view: _View, level: float) -> _View:
+    """The view with distances to a level where the surface is not known."""
+    missing = np.isnan(view.distances)
+    if not missing.any():
+        return view
+    directions = view.directions[missing]
+    starts = np.repeat(view.centre[None], len(directions), axis=0)
+    distances = view.distances.copy()
+    distances[missing] = distances_to_level(survey.frame, survey.tangent, starts, directions, level)
+    return replace(view, distances=distances)
 
 
 def _require_downwards(photograph: Photograph, view: _View) -> None:
     axis = float(photograph.orientation.viewing_direction @ view.up)
-    if axis < 0.0 and (view.sink > math.sin(_SHALLOWEST)).any():
+    if axis < 0.0 and (view.sink >= math.sin(_SHALLOWEST)).any():
         return
     elevation = math.degrees(math.asin(max(-1.0, min(1.0, axis))))
     raise OrientationError(
@@ -167,38 +204,39 @@ def _require_downwards(photograph: Photograph, view: _View) -> None:
     )
 
 
-def _steep_part(view: _View) -> _View:
-    return _View(view.centre, view.up, view.directions[view.sink >= math.sin(_SHALLOWEST)])
-
-
 def _ground_level(
-    survey: Survey, photograph: Photograph, ground: HeightModel | float, grid: _View
+    survey: Survey, photograph: Photograph, ground: HeightModel | float, view: _View
 ) -> tuple[float, float]:
     """Mean height of the ground in the height system of the survey, and the share of rays that meet it."""
     if not isinstance(ground, HeightModel):
         return float(ground), 1.0
-    steep = _steep_part(grid)
-    distances = ground_distances(ground, survey.tangent, steep.centre[None], steep.directions)
-    met = np.isfinite(distances)
+    met = np.isfinite(view.distances)
     if not met.any():
         raise CoverageError(
             f"does not reach the height model {ground.name}: no ray of it meets the surface",
             field=f"photograph {photograph.name}",
             hint="check CRS and heights of orientation and height model, and extent and voids of the model",
         )
-    points = steep.centre + distances[met, None] * steep.directions[met]
-    heights = map_from_tangent(survey.tangent, survey.frame, points)[:, 2]
+    heights = map_from_tangent(survey.tangent, survey.frame, view.points[met])[:, 2]
     return float(heights.mean()), float(met.mean())
 
 
-def _distances(survey: Survey, ground: HeightModel | float, view: _View, level: float) -> Floats:
-    """Distances to the ground, at ``level`` where there is no height model."""
-    starts = np.repeat(view.centre[None], len(view.directions), axis=0)
-    plane = distances_to_level(survey.frame, survey.tangent, starts, view.directions, level)
-    if not isinstance(ground, HeightModel):
-        return plane
-    surface = ground_distances(ground, survey.tangent, starts, view.directions)
-    return np.where(np.isfinite(surface), surface, plane)
+def _polygon(
+    survey: Survey,
+    photograph: Photograph,
+    view: _View,
+    on_border: NDArray[np.bool_],
+    steep: NDArray[np.bool_],
+) -> shapely.Polygon:
+    """The border on the ground; for a view to the horizon the hull of what is steep enough."""
+    shallow = bool((on_border & ~steep).any())
+    outline = view.part(steep if shallow else on_border)
+    outline = outline.part(np.isfinite(outline.distances))
+    mapped = map_from_tangent(survey.tangent, survey.frame, outline.points)[:, :2]
+    polygon = shapely.MultiPoint(mapped).convex_hull if shallow else _valid_polygon(mapped)
+    if polygon.geom_type != "Polygon" or polygon.area == 0.0:
+        raise CoverageError("its footprint has no area", field=f"photograph {photograph.name}")
+    return polygon
 
 
 def _valid_polygon(points: Floats) -> shapely.Polygon:
@@ -210,24 +248,16 @@ def _valid_polygon(points: Floats) -> shapely.Polygon:
     return max(parts, key=lambda part: part.area, default=shapely.Polygon())
 
 
-def _pixel_sizes(
-    survey: Survey, photograph: Photograph, ground: HeightModel | float, pixels: Floats, level: float
-) -> Floats:
+def _pixel_sizes(photograph: Photograph, view: _View) -> Floats:
     """Root of the area that pixels cover on the horizontal through the ground they show."""
-    at = _view(survey, photograph, pixels)
-    distances = _distances(survey, ground, at, level)
-    usable = np.isfinite(distances) & (at.sink > math.sin(_SHALLOWEST))
-    rays = photograph.camera.rays_from_image(pixels)
-    pixels = pixels[np.isfinite(rays).all(axis=1)][usable]
-    points = distances[usable, None] * at.directions[usable]
-    depth = points @ at.up
+    depth = view.distances * (view.directions @ view.up)
     steps = []
     for step in ((1.0, 0.0), (0.0, 1.0)):
         ends = []
         for sign in (-0.5, 0.5):
-            rays = photograph.camera.rays_from_image(pixels + sign * np.array(step))
+            rays = photograph.camera.rays_from_image(view.pixels + sign * np.array(step))
             rays = rays @ photograph.orientation.object_from_camera.T
-            ends.append(rays * (depth / (rays @ at.up))[:, None])
+            ends.append(rays * (depth / (rays @ view.up))[:, None])
         steps.append(ends[1] - ends[0])
     area = np.linalg.norm(np.cross(steps[0], steps[1]), axis=1)
     return np.asarray(np.sqrt(area[np.isfinite(area)]), np.float64)

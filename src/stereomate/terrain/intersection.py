@@ -12,11 +12,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from stereomate.frames.heights import HeightSystem
 from stereomate.frames.mapframe import MapFrame
 from stereomate.frames.tangent import TangentFrame
 from stereomate.frames.transform import map_from_tangent
 from stereomate.terrain import kernels
-from stereomate.terrain.model import HeightModel
+from stereomate.terrain.model import HeightModel, height_unit_m
 
 Floats = NDArray[np.float64]
 
@@ -24,6 +25,10 @@ Floats = NDArray[np.float64]
 _CHORD_M: Final = 1000.0
 # Half lengths of the chords that follow: they sag by 30 micrometres, then by 0.1.
 _REACHES_M: Final = (20.0, 1.0)
+# Rays are followed to these depths for the part of the model that they cross: no land is lower than the
+# first, no sea bed than the second. Geoid and ellipsoid differ by less than the last.
+_DEPTHS_M: Final = (-500.0, -11500.0)
+_UNDULATION_M: Final = 110.0
 # Cells of a patch held at a time (32 MB).
 _PATCH_CELLS: Final = 4_000_000
 _LEVEL_ITERATIONS: Final = 12
@@ -84,7 +89,9 @@ def ground_distances(model: HeightModel, tangent: TangentFrame, starts: Floats, 
     (n,) metres; NaN where a ray does not come down, or leaves the model, or ends in a void.
     """
     starts = np.ascontiguousarray(np.broadcast_to(starts, directions.shape), np.float64)
-    low, high = model.range
+    low, high = _range_under(model, tangent, starts, directions)
+    if not low <= high:
+        return np.full(len(starts), np.nan)
     near = distances_to_level(model.frame, tangent, starts, directions, high)
     far = distances_to_level(model.frame, tangent, starts, directions, low)
     # both bounds lie on the surface where it is level: a little room above and below
@@ -102,6 +109,29 @@ def ground_distances(model: HeightModel, tangent: TangentFrame, starts: Floats, 
         near[active] = stop
         active = active[np.isnan(hit) & (stop < far[active])]
     return _refined(model, tangent, starts, directions, out)
+
+
+def _range_under(
+    model: HeightModel, tangent: TangentFrame, starts: Floats, directions: Floats
+) -> tuple[float, float]:
+    """Bounds of the heights that rays can meet, from the part of the model under them."""
+    low, high = np.inf, -np.inf
+    # a geoid grid may end beside the model: the plan position needs none
+    frame = MapFrame(model.frame.crs, HeightSystem.ellipsoidal())
+    for depth in _DEPTHS_M:
+        far = distances_to_level(frame, tangent, starts, directions, depth - _UNDULATION_M)
+        down = np.isfinite(far)
+        if not down.any():
+            break
+        ends = np.concatenate([starts[down], starts[down] + far[down, None] * directions[down]])
+        pixels = model.pixel_from_map(map_from_tangent(tangent, frame, ends)[:, :2])
+        limit = np.array(model.shape[::-1], np.float64)
+        first = np.clip(np.floor(pixels.min(axis=0)) - 2, 0, limit)
+        size = np.clip(np.ceil(pixels.max(axis=0)) + 2, 0, limit) - first
+        low, high = model.range_around(int(first[0]), int(first[1]), int(size[0]), int(size[1]))
+        if low * height_unit_m(model.frame.heights) > depth:
+            break
+    return low, high
 
 
 def _chord_distances(

@@ -200,10 +200,32 @@ class HeightModel:
         CoverageError
             If there is no height at all.
         """
-        low, high = range_of_windows(self)
+        rows, cols = self.shape
+        low, high = self.range_around(0, 0, cols, rows)
         if not low <= high:
             raise CoverageError("must hold heights: all of it is nodata", file=self.path or self.name)
         return low, high
+
+    def range_around(self, col0: int, row0: int, cols: int, rows: int) -> tuple[float, float]:
+        """Lowest and highest height of the blocks that a window touches; (inf, -inf) where all is void.
+
+        A bound for the window, not its own range. Each block is read once and remembered, so that a survey
+        reads only the part of a large model that it flies over.
+        """
+        model_rows, model_cols = self.shape
+        low, high = math.inf, -math.inf
+        for i in range(max(row0, 0) // _BLOCK, -(-min(row0 + rows, model_rows) // _BLOCK)):
+            for j in range(max(col0, 0) // _BLOCK, -(-min(col0 + cols, model_cols) // _BLOCK)):
+                if (i, j) not in self._block_ranges:
+                    block = self.patch(j * _BLOCK, i * _BLOCK, _BLOCK, _BLOCK)
+                    self._block_ranges[i, j] = block.range
+                lowest, highest = self._block_ranges[i, j]
+                low, high = min(low, lowest), max(high, highest)
+        return low, high
+
+    @cached_property
+    def _block_ranges(self) -> dict[tuple[int, int], tuple[float, float]]:
+        return {}
 
     @property
     def min(self) -> float:
@@ -222,15 +244,6 @@ def windows(shape: tuple[int, int], block: int = _BLOCK) -> Iterator[tuple[int, 
     for row0 in range(0, rows, block):
         for col0 in range(0, cols, block):
             yield col0, row0, min(block, cols - col0), min(block, rows - row0)
-
-
-def range_of_windows(model: HeightModel) -> tuple[float, float]:
-    """Lowest and highest node of all windows; (inf, -inf) where all is void."""
-    low, high = math.inf, -math.inf
-    for window in windows(model.shape):
-        lowest, highest = model.patch(*window).range
-        low, high = min(low, lowest), max(high, highest)
-    return low, high
 
 
 def sample_blockwise(model: HeightModel, pixels: Floats, method: Interpolation) -> Floats:
