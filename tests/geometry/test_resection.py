@@ -65,6 +65,15 @@ def test_exact_observations_give_the_truth_from_nothing(seed, n):
     assert rotation_angle(result.object_from_camera.T @ rotation) < 1e-8
 
 
+def test_many_points_are_no_burden():
+    points, centre, rotation = _scene(40, 3000)
+    image = photo_from_object(points, centre, rotation, 152.0)
+    for loss in ("squared", "huber"):
+        options = AdjustmentOptions(loss=loss)
+        result = resect(image, points, principal_distance=152.0, sigma=0.005, options=options)
+        np.testing.assert_allclose(result.centre, centre, rtol=0, atol=1e-5)
+
+
 def test_least_squares_is_scipys():
     points, centre, rotation = _scene(4, 8)
     sigma = np.random.default_rng(1).uniform(0.003, 0.03, (8, 2))

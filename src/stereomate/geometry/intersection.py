@@ -7,7 +7,7 @@ distortion, in units of the principal distance: (x, y) = (u, v) of the ray direc
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -186,19 +186,19 @@ def intersect_rays(
     Intersections
     """
     count = (int(rays.point.max()) + 1 if len(rays.point) else 0) if count is None else count
-    points = intersect_linear(rays, count) if start is None else np.array(start, dtype=np.float64)
+    # Coordinates of a map grid would lose digits: work about the mean centre.
+    origin = rays.centres.mean(axis=0) if len(rays.centres) else np.zeros(3)
+    rays = replace(rays, centres=rays.centres - origin)
+    points = intersect_linear(rays, count) if start is None else np.asarray(start, dtype=np.float64) - origin
     weights = 1.0 / rays.sigma**2
     converged = np.zeros(count, dtype=np.bool_)
-    cost = np.full(count, np.inf)
     for _ in range(max_iterations):
-        residuals, normal, right, new_cost = _linearise(rays, points, weights, count)
+        _, normal, right, cost = _linearise(rays, points, weights, count)
         step, _ = _solve3(normal, right)
         promised = np.einsum("ki,ki->k", right, step)
-        # A step below the rounding of the coordinates changes nothing any more.
-        size = np.linalg.norm(step, axis=1) <= 1e-13 * (1.0 + np.linalg.norm(points, axis=1))
-        converged |= (promised <= 1e-12 * new_cost) | size
-        cost = new_cost
-        step = np.where(converged[:, None] & ~np.isfinite(step), 0.0, step)
+        # No descent left, or a step below the rounding of the coordinates.
+        small = np.linalg.norm(step, axis=1) <= 1e-12 * (1.0 + np.linalg.norm(points, axis=1))
+        converged |= (promised <= 1e-12 * cost) | small
         points = points + step
         if np.all(converged | ~np.isfinite(points).all(axis=1)):
             break
@@ -209,7 +209,7 @@ def intersect_rays(
     points = np.where(lost[:, None], np.nan, points)
     with np.errstate(invalid="ignore", divide="ignore"):
         sigma0 = np.where(redundancy > 0, np.sqrt(cost / np.maximum(redundancy, 1)), np.nan)
-    return Intersections(points, residuals, cofactors, redundancy, sigma0, converged & ~lost)
+    return Intersections(points + origin, residuals, cofactors, redundancy, sigma0, converged & ~lost)
 
 
 def _linearise(rays: Rays, points: Array, weights: Array, count: int) -> tuple[Array, Array, Array, Array]:

@@ -26,8 +26,9 @@ from stereomate.geometry.similarity import closed_form
 
 Array = NDArray[np.float64]
 
-# Triples tried for a start; all of them for up to nine points.
-_MAX_TRIPLES = 84
+# Triples tried for a start: the largest ones, or with gross errors to be expected (which make large ones) all
+# of up to nine points, else a sample.
+_LARGEST_TRIPLES, _SAMPLED_TRIPLES = 12, 84
 
 
 @dataclass(frozen=True)
@@ -148,17 +149,30 @@ def _distances(
     return s if (s > 0.0).all() else None
 
 
-def _start(image: Array, points: Array) -> tuple[Array, Array]:
+def _triples(image: Array, robust: bool) -> NDArray[np.int64]:
+    """Triples of points (m, 3) to start from."""
+    n = len(image)
+    if robust and math.comb(n, 3) > _SAMPLED_TRIPLES:
+        rng = np.random.default_rng(0)  # fixed: the same points give the same orientation
+        return np.array([rng.choice(n, 3, replace=False) for _ in range(_SAMPLED_TRIPLES)])
+    # Of many points the outermost in eight directions are enough.
+    angles = np.arange(8) * (math.pi / 4.0)
+    outermost = (image @ np.stack([np.cos(angles), np.sin(angles)])).argmax(axis=0)
+    chosen = np.arange(n) if n <= 9 else np.unique(outermost)
+    triples = np.array(list(itertools.combinations(chosen.tolist(), 3)), dtype=np.int64).reshape(-1, 3)
+    if robust:
+        return triples
+    a, b = image[triples[:, 1]] - image[triples[:, 0]], image[triples[:, 2]] - image[triples[:, 0]]
+    area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    return triples[np.argsort(-area, kind="stable")[:_LARGEST_TRIPLES]]
+
+
+def _start(image: Array, points: Array, robust: bool) -> tuple[Array, Array]:
     """The three-point orientation with the smallest median residual over all points."""
     n = len(points)
-    triples = list(itertools.combinations(range(n), 3))
-    if len(triples) > _MAX_TRIPLES:
-        chosen = np.random.default_rng(0).choice(len(triples), _MAX_TRIPLES, replace=False)
-        triples = [triples[i] for i in sorted(chosen)]
     directions = np.column_stack([image, -np.ones(n)])
     best, best_misfit = None, math.inf
-    for triple in triples:
-        rows = list(triple)
+    for rows in _triples(image, robust):
         for centre, rotation in resect_three_points(directions[rows], points[rows]):
             computed = photo_from_camera(camera_from_object(points, centre, rotation), 1.0)
             misfit = np.nan_to_num(np.linalg.norm(image - computed, axis=1), nan=1e6)
@@ -222,7 +236,7 @@ def resect(
     origin = points.mean(axis=0)
     local = points - origin
     if start is None:
-        first = _start(image / principal_distance, local)
+        first = _start(image / principal_distance, local, options is not None and options.loss == "huber")
     else:
         first = (np.asarray(start[0], dtype=np.float64) - origin, np.asarray(start[1], dtype=np.float64))
     observed = image.reshape(-1)
