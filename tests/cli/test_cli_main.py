@@ -9,8 +9,9 @@ import pytest
 
 import stereomate
 from stereomate.cli import main
+from stereomate.cli.logs import LOGGER, log_to_file, log_to_stderr
 from stereomate.cli.settings import Settings, bytes_from_text
-from stereomate.errors import InputError
+from stereomate.errors import InputError, StorageError
 
 HEAVY = ("numpy", "numba", "rasterio", "cv2", "scipy", "pyproj", "matplotlib", "shapely", "pydantic")
 
@@ -112,7 +113,7 @@ def test_full_disk_of_a_library_is_one_line(monkeypatch, capsys):
     with pytest.raises(SystemExit) as end:
         main.run(["check"])
     assert end.value.code == 2
-    assert capsys.readouterr().err == "error: [Errno 28] No space left on device: 'out.tif'\n"
+    assert capsys.readouterr().err == "error: out.tif: No space left on device\n"
 
 
 def test_a_bug_keeps_its_traceback(monkeypatch):
@@ -125,3 +126,46 @@ def test_a_bug_keeps_its_traceback(monkeypatch):
     monkeypatch.setattr(main, "application", application)
     with pytest.raises(ZeroDivisionError):
         main.run(["check"])
+
+
+def test_log_file_has_what_was_said_before_it_was_open(tmp_path, capsys):
+    log_to_stderr(0)
+    LOGGER.getChild("project").info("read early")
+    path = tmp_path / "out" / "run.log"
+
+    def work() -> None:
+        with log_to_file(path):
+            LOGGER.warning("half way")
+            raise InputError("must be better", field="x")
+
+    with pytest.raises(InputError):
+        work()
+    text = path.read_text()
+    first = f"stereomate {stereomate.__version__}, Python"
+    places = [
+        text.index(word) for word in (first, "command line:", "read early", "half way", "ended by InputError")
+    ]
+    assert places == sorted(places)
+    assert "Traceback" in text
+    # The terminal gets the warning; the error is said once, by whoever ends the program.
+    assert capsys.readouterr().err == "WARNING: half way\n"
+    LOGGER.info("after")
+    assert "after" not in path.read_text()
+
+
+def test_log_file_below_a_regular_file(tmp_path):
+    (tmp_path / "file").write_text("")
+    with (
+        pytest.raises(StorageError, match=r"file.run\.log: cannot write"),
+        log_to_file(tmp_path / "file" / "run.log"),
+    ):
+        pass
+
+
+@pytest.mark.parametrize(("verbosity", "expected"), [(-1, 0), (0, 1), (1, 2), (2, 3)])
+def test_verbosity(verbosity, expected, capsys):
+    log_to_stderr(verbosity)
+    LOGGER.debug("detail")
+    LOGGER.info("progress")
+    LOGGER.warning("doubt")
+    assert len(capsys.readouterr().err.splitlines()) == expected

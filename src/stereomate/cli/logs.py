@@ -6,6 +6,7 @@ import logging
 import platform
 import sys
 import time
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +17,20 @@ from stereomate.errors import StorageError
 
 LOGGER: Final = logging.getLogger("stereomate")
 _LEVELS: Final = {-1: logging.ERROR, 0: logging.WARNING, 1: logging.INFO}
+_LONG: Final = "%(asctime)s %(levelname)-7s %(name)s: %(message)s"
+# What is logged before the file is open (the project is read first, it says where) waits here.
+_EARLY_RECORDS: Final = 10_000
+
+
+class _Waiting(logging.Handler):
+    """Keeps records until a log file is there to take them."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.DEBUG)
+        self.records: deque[logging.LogRecord] = deque(maxlen=_EARLY_RECORDS)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.records.append(record)
 
 
 def log_to_stderr(verbosity: int) -> None:
@@ -23,17 +38,19 @@ def log_to_stderr(verbosity: int) -> None:
     handler = logging.StreamHandler(sys.stderr)
     handler.setLevel(_LEVELS.get(verbosity, logging.DEBUG))
     handler.setFormatter(logging.Formatter("%(levelname)s: %(message)s" if verbosity < 2 else _LONG))
-    handler.set_name("stderr")
-    for old in [h for h in LOGGER.handlers if h.get_name() == "stderr"]:
+    for old in list(LOGGER.handlers):
         LOGGER.removeHandler(old)
     LOGGER.addHandler(handler)
+    LOGGER.addHandler(_Waiting())
     LOGGER.setLevel(logging.DEBUG)
     LOGGER.propagate = False
 
 
 @contextmanager
 def log_to_file(path: Path) -> Iterator[None]:
-    """Write everything the package logs inside the block to `path`, appended, times in UTC.
+    """Write everything the package logs to `path`, appended, times in UTC: also what it logged before.
+
+    An exception that ends the block is written with its traceback, to the file only.
 
     Raises
     ------
@@ -48,21 +65,29 @@ def log_to_file(path: Path) -> Iterator[None]:
     formatter = logging.Formatter(_LONG)
     formatter.converter = _utc
     handler.setFormatter(formatter)
-    LOGGER.addHandler(handler)
     LOGGER.setLevel(logging.DEBUG)
-    LOGGER.info("stereomate %s, Python %s, %s", __version__, platform.python_version(), platform.platform())
-    LOGGER.info("command line: %s", " ".join(sys.argv))
+    _write(
+        handler, "stereomate %s, Python %s, %s", __version__, platform.python_version(), platform.platform()
+    )
+    _write(handler, "command line: %s", " ".join(sys.argv))
+    for waiting in [h for h in LOGGER.handlers if isinstance(h, _Waiting)]:
+        while waiting.records:
+            handler.handle(waiting.records.popleft())
+    LOGGER.addHandler(handler)
     try:
         yield
     except BaseException as error:
-        LOGGER.error("ended by %s: %s", type(error).__name__, error, exc_info=True)
+        _write(handler, "ended by %s: %s", type(error).__name__, error, failed=True)
         raise
     finally:
         LOGGER.removeHandler(handler)
         handler.close()
 
 
-_LONG: Final = "%(asctime)s %(levelname)-7s %(name)s: %(message)s"
+def _write(handler: logging.Handler, text: str, *values: object, failed: bool = False) -> None:
+    level = logging.ERROR if failed else logging.INFO
+    trace = sys.exc_info() if failed else None
+    handler.handle(LOGGER.makeRecord(LOGGER.name, level, __file__, 0, text, values, trace))
 
 
 def _utc(seconds: float | None) -> time.struct_time:

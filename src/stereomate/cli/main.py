@@ -72,7 +72,8 @@ def run(arguments: list[str] | None = None) -> None:
         # A disk that fills in the middle of a library's own write arrives as a bare OSError.
         if error.errno not in _STORAGE_ERRNO:
             raise
-        _fail(str(error), debug)
+        place = f"{error.filename}: " if error.filename else ""
+        _fail(f"{place}{error.strerror or error}", debug)
 
 
 def global_options_first(arguments: list[str]) -> list[str]:
