@@ -1,9 +1,11 @@
-"""Forward intersection of many points by least squares on image residuals."""
+"""Forward intersection of points that are all seen in the same number of photographs."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+
+from stereomate.geometry.intersection import Rays, intersect_rays
 
 Array = NDArray[np.float64]
 
@@ -25,29 +27,16 @@ def intersect(xy: Array, centres: Array, rotations: Array, principal_distances: 
     -------
     ndarray (n, 3)
     """
-    c = np.broadcast_to(principal_distances, xy.shape[:2])[..., None]
-    ray = (rotations @ np.concatenate([xy, -c], axis=-1)[..., None])[..., 0]
-    ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
-    # Start: the point nearest to all rays.
-    across = np.eye(3) - ray[..., :, None] * ray[..., None, :]
-    middle = centres.reshape(-1, 3).mean(axis=0)  # large grid coordinates would cost digits
-    local_centres = centres - middle
-    right = (across @ local_centres[..., None]).sum(axis=1)
-    points = np.linalg.solve(across.sum(axis=1), right)[..., 0]
-    camera_from_object = np.swapaxes(rotations, -1, -2)
-    for _ in range(6):
-        local = (camera_from_object @ (points[:, None, :] - local_centres)[..., None])[..., 0]
-        ratio = local[..., :2] / local[..., 2:]
-        # d image / d point = -c / z (rows 0, 1 of R^T - image direction times row 2)
-        jacobian = (-c / local[..., 2:])[..., None] * (
-            camera_from_object[..., :2, :] - ratio[..., None] * camera_from_object[..., 2:3, :]
-        )
-        residual = xy + c * ratio
-        normal = np.einsum("nkai,nkaj->nij", jacobian, jacobian)
-        right = np.einsum("nkai,nka->ni", jacobian, residual)[..., None]
-        points = points + np.linalg.solve(normal, right)[..., 0]
-    out: Array = points + middle
-    return out
+    n, k, _ = xy.shape
+    c = np.ascontiguousarray(np.broadcast_to(principal_distances, (n, k))).reshape(-1)
+    rays = Rays(
+        np.repeat(np.arange(n), k),
+        np.broadcast_to(centres, (n, k, 3)).reshape(-1, 3),
+        np.broadcast_to(rotations, (n, k, 3, 3)).reshape(-1, 3, 3),
+        xy.reshape(-1, 2) / c[:, None],
+        1.0 / c,  # equal weights in the image, whatever the principal distances
+    )
+    return intersect_rays(rays, n).points
 
 
 def image_coordinates(points: Array, centres: Array, rotations: Array, principal_distances: Array) -> Array:
