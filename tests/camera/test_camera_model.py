@@ -32,7 +32,7 @@ def test_both_directions_agree_to_1e_10_of_the_format(name):
         assert np.abs(straight - rays[..., :2]).max() > 0.01
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=80)
 @given(
     st.tuples(*[st.floats(-0.4, 0.4)] * 3),
     st.tuples(*[st.floats(-5e-3, 5e-3)] * 2),
