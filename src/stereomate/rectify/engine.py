@@ -26,6 +26,7 @@ from stereomate.rectify.scratch import scratch
 from stereomate.rectify.serving import Pixels, camera_nodes, models_of_window, serve_pixels
 
 Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
 Side = Literal["left", "right"]
 
 NO_PHOTOGRAPH = np.empty((0, 0), np.uint16)
@@ -170,7 +171,7 @@ def _resample_photograph(
     shift = tuple(size // reduction // 2 for size in photograph.camera.size_px)
     code, parameters = photograph.camera.kernel_parameters()
     lattice = ground.lattice
-    extremes = warp(
+    count = warp(
         pixels.columns,
         pixels.heights,
         wanted,
@@ -189,18 +190,27 @@ def _resample_photograph(
         map_y,
         valid,
     )
-    if extremes[0] > extremes[1]:
-        valid.fill(0)
+    if count == 0:
         return
     reader: PhotoReader = reader_of(photograph)
     resample(
         reader,
         job.bands,
         (map_x, map_y),
-        extremes,
+        _extremes(map_x, map_y, valid, count),
         (shift[0], shift[1]),
         reduction,
         job.options.resampling,
         out,
         valid,
     )
+
+
+def _extremes(
+    map_x: Floats32, map_y: Floats32, valid: NDArray[np.uint8], count: int
+) -> tuple[float, float, float, float]:
+    """Least and greatest x and y of the valid positions."""
+    if count < valid.size:
+        inside = valid != 0
+        map_x, map_y = map_x[inside], map_y[inside]
+    return float(map_x.min()), float(map_x.max()), float(map_y.min()), float(map_y.max())

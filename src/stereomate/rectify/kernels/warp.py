@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from stereomate.camera.kernels import image_from_camera_point
+from stereomate.camera.kernels import image_from_camera_row
 from stereomate.jit import inline_kernel, kernel
 from stereomate.rectify.kernels.surface import lattice_row
 
@@ -35,6 +35,51 @@ def camera_point(line: Floats, x: float, height: float) -> tuple[float, float, f
     return px, py, pz
 
 
+@inline_kernel
+def _run_end(column: Floats32, start: int, last: int, low: float, high: float) -> int:
+    """First pixel after `start` whose ground column leaves [low, high); pixels without ground stay inside."""
+    end = start + 1
+    while end < last and not (column[end] < low or column[end] >= high):
+        end += 1
+    return end
+
+
+@inline_kernel
+def _bilinear_run(
+    terms: tuple[float, float, float, float], start: float, column: Floats32, height: Floats32, out: Floats
+) -> None:
+    """``base + t base_slope + h (rise + t rise_slope)`` over a run of pixels; written to be vectorised."""
+    base, base_slope, rise, rise_slope = terms
+    for m in range(out.shape[0]):
+        t = column[m] - start
+        out[m] = base + t * base_slope + height[m] * (rise + t * rise_slope)
+
+
+@inline_kernel
+def _camera_points(
+    line: Floats, node_col: float, step: float, column: Floats32, height: Floats32, out: Floats
+) -> None:
+    """Camera-frame points (3, cols) of a row: within a cell linear in column, height and their product."""
+    cols = column.shape[0]
+    last_cell = line.shape[0] - 2
+    c = 0
+    while c < cols:
+        if not column[c] == column[c]:
+            out[:, c] = np.nan
+            c += 1
+            continue
+        i = min(max(int((column[c] - node_col) / step), 0), last_cell)
+        low = node_col + i * step if i > 0 else -math.inf
+        high = node_col + (i + 1) * step if i < last_cell else math.inf
+        end = _run_end(column, c, cols, low, high)
+        for k in range(3):
+            base, rise = line[i, k], line[i, k + 3]
+            slopes = (line[i + 1, k] - base) / step, (line[i + 1, k + 3] - rise) / step
+            terms = (base, slopes[0], rise, slopes[1])
+            _bilinear_run(terms, node_col + i * step, column[c:end], height[c:end], out[k, c:end])
+        c = end
+
+
 @kernel
 def warp(
     columns: Floats32,
@@ -54,7 +99,7 @@ def warp(
     map_x: Floats32,
     map_y: Floats32,
     valid: NDArray[np.uint8],
-) -> tuple[float, float, float, float]:
+) -> int:
     """Photograph positions of the pixels of a window, ready for a resampler.
 
     Parameters
@@ -64,7 +109,7 @@ def warp(
     heights : (rows, cols)
         NaN where there is no ground.
     photo_of_pixel : (rows, cols) or (0, 0)
-        Which photograph serves each pixel; only those equal to `wanted` are computed. Empty: all are.
+        Which photograph serves each pixel; only those equal to `wanted` are valid. Empty: all are.
     reduction : float
         Pixels of the photograph per pixel of the reduced photograph that is resampled.
     shift_col, shift_row : float
@@ -72,40 +117,37 @@ def warp(
 
     Returns
     -------
-    (min_x, max_x, min_y, max_y) of the positions written; min > max when there are none. Positions are
-    counted from the centre of the first pixel, as resamplers do.
+    Number of positions written; the others are OUTSIDE. Positions are counted from the centre of the first
+    pixel, as resamplers do.
     """
     rows, cols = heights.shape
     line = np.empty((nodes.shape[1], 6))
-    one_row = columns.shape[0] == 1
+    points = np.empty((3, cols))
+    image_col = np.empty(cols)
+    image_row = np.empty(cols)
+    inside = np.empty(cols, np.bool_)
     every = photo_of_pixel.shape[0] == 0
-    per_step = 1.0 / step
-    per_reduction = 1.0 / reduction
-    min_x, max_x, min_y, max_y = math.inf, -math.inf, math.inf, -math.inf
+    scale = 1.0 / reduction
+    offset_col = 0.5 + shift_col
+    offset_row = 0.5 + shift_row
+    count = 0
     for r in range(rows):
-        lattice_row(nodes, (row0 + r + 0.5 - node_row) * per_step, line)
-        column = columns[0 if one_row else r]
+        lattice_row(nodes, (row0 + r + 0.5 - node_row) / step, line)
+        column = columns[0 if columns.shape[0] == 1 else r]
+        _camera_points(line, node_col, step, column, heights[r], points)
+        image_from_camera_row(
+            model, parameters, points[0], points[1], points[2], image_col, image_row, inside
+        )
+        if not every:
+            for c in range(cols):
+                inside[c] &= photo_of_pixel[r, c] == wanted
+        x, y, v = map_x[r], map_y[r], valid[r]
         for c in range(cols):
-            map_x[r, c] = OUTSIDE
-            map_y[r, c] = OUTSIDE
-            valid[r, c] = 0
-            h = heights[r, c]
-            if h != h or not (every or photo_of_pixel[r, c] == wanted):
-                continue
-            px, py, pz = camera_point(line, (column[c] - node_col) * per_step, h)
-            col, row, inside = image_from_camera_point(model, parameters, px, py, pz)
-            if not inside:
-                continue
-            x = col * per_reduction - 0.5 - shift_col
-            y = row * per_reduction - 0.5 - shift_row
-            map_x[r, c] = x
-            map_y[r, c] = y
-            valid[r, c] = 255
-            min_x = min(min_x, x)
-            max_x = max(max_x, x)
-            min_y = min(min_y, y)
-            max_y = max(max_y, y)
-    return min_x, max_x, min_y, max_y
+            x[c] = image_col[c] * scale - offset_col if inside[c] else OUTSIDE
+            y[c] = image_row[c] * scale - offset_row if inside[c] else OUTSIDE
+            v[c] = 255 if inside[c] else 0
+            count += inside[c]
+    return count
 
 
 @kernel
