@@ -12,6 +12,7 @@ import pytest
 from stereomate.errors import FormatError, HeightSystemError, InputError, ProjectError
 from stereomate.frames.attitude import AttitudeConvention, written_attitude
 from stereomate.frames.tangent import TangentFrame
+from stereomate.frames.transform import map_from_tangent, tangent_from_map
 from stereomate.geometry.rotations import rotation_angle
 from stereomate.project import load
 from stereomate.project.cameras import load_cameras
@@ -129,8 +130,6 @@ def test_vertical_photographs_look_down_and_grid_north(small):
     project = load(small.path)
     photo = project.survey.photographs[0]
     north = np.array(photo.orientation.centre) + photo.orientation.object_from_camera @ [0.0, 10.0, 0.0]
-    from stereomate.frames.transform import map_from_tangent
-
     x, y, z = map_from_tangent(project.tangent, project.frame, north)
     assert x == pytest.approx(EAST - 12, abs=1e-4)
     # Ten metres in space at 500 m are 10 tau_e in the grid.
@@ -251,6 +250,28 @@ def test_heights_of_sections_are_brought_together(small, tmp_path):
     assert load(small.path).ground.mean_m == pytest.approx(plain + 40.0, abs=1e-3)
 
 
+def test_heights_in_feet(small):
+    small.write_heights(np.full((40, 40), 656.0))
+    small.replace("project.toml", 'file = "heights.tif"', 'file = "heights.tif"\nunit = "foot"')
+    assert load(small.path).ground.mean_m == pytest.approx(656.0 * 0.3048, abs=1e-6)
+
+
+def test_map_in_us_feet(small):
+    """North Carolina (EPSG:2264) in US survey feet: the tangent frame is in metres."""
+    foot = 1200.0 / 3937.0
+    x, y = 1_500_000.0, 700_000.0
+    table = [[x, y, 500.0, 0, 0, 0], [x + 24.0 / foot, y, 500.0, 0, 0, 0]]
+    small.write("orientation.csv", "filename,x,y,z,omega,phi,kappa\n" + rows(table))
+    small.replace("project.toml", "EPSG:25832", "EPSG:2264")
+    small.replace("project.toml", 'file = "heights.tif"', "level = 200.0")
+    project = load(small.path)
+    one, two = project.survey.centres_tangent
+    tau = pyproj.Proj("EPSG:2264").get_factors(-80.9, 35.6).meridional_scale
+    expected = 24.0 / tau * (1.0 + 500.0 / 6.37e6)
+    assert np.linalg.norm(two - one) == pytest.approx(expected, abs=1e-3)
+    assert project.ground.gsd_m == pytest.approx([1.0, 1.0], abs=1e-3)
+
+
 def test_level_ground(small):
     small.replace("project.toml", 'file = "heights.tif"', "level = 210.0")
     project = load(small.path)
@@ -297,6 +318,15 @@ def test_area_sheets_and_breaklines(small):
     assert [sheet.name for sheet in project.sheets] == ["A1", "sheet_2"]
     assert float(project.heights.heights_at([EAST, NORTH])) == pytest.approx(260.0)
     assert {item.role for item in project.inputs} >= {"area", "sheets", "breaklines"}
+
+
+@pytest.mark.parametrize("names", [("../A1", "B"), ("A", "A"), ("A 1", "B")])
+def test_names_of_sheets_become_file_names(small, names):
+    squares = [square(EAST, NORTH, 5.0, name=name) for name in names]
+    geojson(small, "sheets.geojson", *squares)
+    small.replace("project.toml", "gsd = 1.0", 'gsd = 1.0\nsheets = "sheets.geojson"')
+    with pytest.raises(FormatError, match=r"sheets\.geojson.*name"):
+        load(small.path)
 
 
 def test_area_in_another_crs_is_projected(small):
@@ -435,12 +465,32 @@ def tuniu(tmp_path, data_folder, name, orientation, keys, camera=TUNIU_CAMERA):
     return load(path)
 
 
+def largest_shift_px(one, two) -> float:
+    """How far points of the height model move in the photographs between two surveys."""
+    rows_, columns = one.heights.shape
+    col, row = np.meshgrid(np.linspace(5, columns - 5, 40), np.linspace(5, rows_ - 5, 40))
+    xy = one.heights.map_from_pixel(np.stack([col.ravel(), row.ravel()], axis=-1))
+    points = np.column_stack([xy, one.heights.heights_at(xy)])
+    points = points[np.isfinite(points[:, 2])]
+    largest = 0.0
+    for a, b in zip(one.survey.photographs, two.survey.photographs, strict=True):
+        pixels = []
+        for project, photo in ((one, a), (two, b)):
+            local = tangent_from_map(project.tangent, project.frame, points)
+            pixels.append(photo.camera.image_from_camera(photo.orientation.camera_from_tangent(local)))
+        inside = pixels[0][1] & pixels[1][1]
+        assert inside.sum() > 100
+        largest = max(largest, float(np.abs(pixels[0][0] - pixels[1][0])[inside].max()))
+    return largest
+
+
 @pytest.mark.real
 def test_tuniu_in_three_forms_and_the_raw_gimbal(tmp_path, data_folder):
     adjusted = tuniu(tmp_path, data_folder, "a", "odm_xyz_opk.csv", 'angles = "grid"\nadjusted_in = "space"')
     opensfm = tuniu(tmp_path, data_folder, "b", "odm/opensfm/reconstruction.json", "", camera="")
     # The table is rounded to a millimetre and a thousandth of a degree.
     same_survey(adjusted, opensfm, metres=1e-3, radians=math.radians(1e-3))
+    assert largest_shift_px(adjusted, opensfm) < 0.1
     (note,) = [note for note in opensfm.notes if "reference_lla" in note]
     assert "0.02 m rms as projected" in note
     places = adjusted.frame.geodetic_from_map(adjusted.survey.centres_map)
@@ -454,6 +504,7 @@ def test_tuniu_in_three_forms_and_the_raw_gimbal(tmp_path, data_folder):
     table.write_text("\n".join(["filename,longitude,latitude,altitude,roll,pitch,heading", *lines]))
     navigation = tuniu(tmp_path, data_folder, "c", "../" * 20 + str(table)[1:], 'angles = "rph"')
     same_survey(adjusted, navigation, metres=1e-6)
+    assert largest_shift_px(adjusted, navigation) < 1e-4
     compare = (
         f'angles = "grid"\nadjusted_in = "space"\n[photos.compare]\nangles = "rph"\n'
         f'orientation = "{data_folder}/odm_tuniu/odm_lla_rpy.csv"\n'

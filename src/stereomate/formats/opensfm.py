@@ -143,7 +143,10 @@ def frame_of(reconstruction: OpenSfmReconstruction, grid: MapFrame) -> FrameEvid
         "does not say whether its centres are topocentric about reference_lla or projected coordinates minus "
         "those of reference_lla"
     )
-    hint = 'set opensfm_frame = "projected" (georeferenced by OpenDroneMap) or "topocentric" (OpenSfM itself)'
+    hint = (
+        'set opensfm_frame = "projected" (georeferenced by OpenDroneMap; crs is then its UTM zone) or '
+        '"topocentric" (OpenSfM itself)'
+    )
     if len(measured) < 3:
         few = f"{rule}, and only {len(measured)} shots have a gps_position"
         raise FormatError(few, file=reconstruction.path, hint=hint)

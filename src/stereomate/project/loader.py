@@ -203,6 +203,9 @@ def _inputs(
         InputFile("project", path, file_digest(path)),
         InputFile("orientation", written.source, file_digest(written.source)),
     ]
+    if file.control is not None and (path.parent / file.control.file).is_file():
+        control = path.parent / file.control.file
+        inputs.append(InputFile("control", control, file_digest(control)))
     for key in ("area", "sheets", "breaklines"):
         name = getattr(file.products, key)
         if name is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -113,6 +114,9 @@ def _polygons(path: Path, frame: MapFrame) -> list[Sheet]:
             rule = "must hold polygons only"
             raise FormatError(rule, file=path, field=f"feature {number}", value=feature.geometry.geom_type)
         label = feature.attributes.get("name")
+        if label is not None and not re.fullmatch(r"[\w][\w.-]*", str(label)):
+            rule = "must be letters, digits, _, - and .: it becomes part of a file name"
+            raise FormatError(rule, file=path, field=f"feature {number}.name", value=label)
         geometry = _in_frame(shapely.force_2d(feature.geometry), own, frame)
         sheets.append(Sheet(f"sheet_{number}" if label is None else str(label), geometry))
     return sheets
