@@ -191,7 +191,12 @@ def projection(text: str) -> pyproj.Transformer:
 
     def build() -> pyproj.Transformer:
         target = horizontal_part(parse(text))
-        return pyproj.Transformer.from_crs(target.geodetic_crs, target, always_xy=True, allow_ballpark=False)
+        try:
+            return pyproj.Transformer.from_crs(
+                target.geodetic_crs, target, always_xy=True, allow_ballpark=False
+            )
+        except ProjError as error:
+            raise CrsError(f"PROJ cannot project into it: {error}", field="crs", value=text) from error
 
     transformer: pyproj.Transformer = per_thread(("projection", text), build)
     return transformer

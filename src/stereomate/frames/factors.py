@@ -158,8 +158,11 @@ def meridian_radius(semi_major: float, flattening: float, lat_deg: ArrayLike) ->
 
 def _geodetic(crs: str, x: Array, y: Array) -> tuple[Array, Array]:
     lon, lat = projection(crs).transform(x, y, direction="INVERSE")
+    # PROJ answers for points far beyond the map too; they do not come back.
+    x1, y1 = projection(crs).transform(lon, lat)
+    miss = np.hypot(np.asarray(x1) - x, np.asarray(y1) - y)
     lon, lat = geodetic_of(crs).normal(np.asarray(lon, dtype=np.float64), np.asarray(lat, dtype=np.float64))
-    bad = np.isfinite(x + y) & ~np.isfinite(lon + lat)
+    bad = np.isfinite(x + y) & ~(np.isfinite(lon + lat) & (miss < 1.0))
     if bad.any():
         raise CrsError("a point is outside the domain of the projection", field="crs", value=crs)
     return lon, lat
