@@ -178,3 +178,19 @@ def test_bands_are_interleaved(bands):
     out = np.empty((11, 13, bands), np.uint16)
     interleave(planes, out)
     np.testing.assert_array_equal(out, planes.transpose(1, 2, 0))
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_a_pixel_is_valid_if_any_sample_is(dtype):
+    image = noise((20, 23, 3), dtype)
+    nodata = np.dtype(dtype).type(np.nan if dtype == "float32" else 7)
+    image[3:9, 4:8] = nodata
+    image[5, 5, 1] = 8
+    image[12, :, :2] = nodata
+    out = np.empty((20, 23), np.uint8)
+    count = kernels.valid_by_nodata(image, nodata, out)
+    expected = np.ones((20, 23), np.uint8)
+    expected[3:9, 4:8] = 0
+    expected[5, 5] = 1
+    np.testing.assert_array_equal(out, expected)
+    assert count == expected.sum()

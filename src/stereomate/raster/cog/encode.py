@@ -112,8 +112,9 @@ def _checked(
 def _valid_by_nodata(profile: CogProfile, pixels: NDArray[Any]) -> NDArray[np.uint8] | None:
     if profile.nodata is None:
         return None
-    unequal = ~np.isnan(pixels) if np.isnan(profile.nodata) else pixels != profile.nodata
-    return _none_if_full(unequal.any(axis=2).view(np.uint8))
+    valid = SCRATCH.array("valid", pixels.shape[:2], np.uint8)
+    count = kernels.valid_by_nodata(pixels, profile.numpy_dtype.type(profile.nodata), valid)
+    return None if count == valid.size else valid
 
 
 def _none_if_full(valid: NDArray[np.uint8]) -> NDArray[np.uint8] | None:

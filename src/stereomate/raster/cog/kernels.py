@@ -28,41 +28,33 @@ def halve_integers(src: Image, valid: Bytes, masked: bool, sums: Image, out: Ima
     width = cols * bands
     src2 = src.reshape(rows, width)
     for r in range(out.shape[0]):
-        upper, lower = src2[2 * r], src2[min(2 * r + 1, rows - 1)]
-        state = 1
+        below = min(2 * r + 1, rows - 1)
+        upper, lower = src2[2 * r], src2[below]
+        count = 4
         if masked:
-            state = _halve_validity(valid[2 * r], valid[min(2 * r + 1, rows - 1)], out_valid[r])
-        if state == 1:
+            count = _count_valid(valid[2 * r], valid[below], out_valid[r])
+        if count:
             for i in range(width):
                 sums[i] = upper[i] + sums.dtype.type(lower[i])
             _halve_sums(sums, cols, bands, out[r])
-        elif state == 0:
-            for c in range(out.shape[1]):
-                for b in range(bands):
-                    out[r, c, b] = 0
-        else:
-            _halve_masked_integers(
-                upper, lower, valid[2 * r], valid[min(2 * r + 1, rows - 1)], cols, bands, out[r]
-            )
+        if count < 4:
+            _mend_masked_integers(upper, lower, valid[2 * r], valid[below], bands, out[r])
 
 
 @kernel
-def _halve_validity(upper: Image, lower: Image, out: Image) -> int:
-    """Validity of a row of 2 x 2 pixels; 1 if all four are valid everywhere, 0 if none anywhere, else 2."""
+def _count_valid(upper: Bytes, lower: Bytes, out: Bytes) -> int:
+    """Validity of a row of 2 x 2 pixels; 4 if all are valid everywhere, 0 if none is anywhere, else 1."""
     cols = upper.shape[0]
-    count = 0
+    least, most = np.uint8(1), np.uint8(0)
     for c in range(cols):
-        count += upper[c] + lower[c]
-    if count == 2 * cols:
-        out[:] = 1
-        return 1
-    if count == 0:
-        out[:] = 0
-        return 0
+        least = min(least, upper[c] & lower[c])
+        most = max(most, upper[c] | lower[c])
     for c in range(out.shape[0]):
         d = min(2 * c + 1, cols - 1)
         out[c] = upper[2 * c] | upper[d] | lower[2 * c] | lower[d]
-    return 2
+    if least:
+        return 4
+    return 1 if most else 0
 
 
 @kernel
@@ -86,18 +78,23 @@ def _halve_sums(sums: Image, cols: int, bands: int, out: Image) -> None:
 
 
 @kernel
-def _halve_masked_integers(
-    upper: Image, lower: Image, valid_upper: Bytes, valid_lower: Bytes, cols: int, bands: int, out: Image
+def _mend_masked_integers(
+    upper: Image, lower: Image, valid_upper: Bytes, valid_lower: Bytes, bands: int, out: Image
 ) -> None:
+    """Means again where not all of the four pixels are valid."""
+    cols = valid_upper.shape[0]
     for c in range(out.shape[0]):
         d = min(2 * c + 1, cols - 1)
         a00, a01 = np.int64(valid_upper[2 * c]), np.int64(valid_upper[d])
         a10, a11 = np.int64(valid_lower[2 * c]), np.int64(valid_lower[d])
         count = a00 + a01 + a10 + a11
-        for b in range(bands):
-            if count == 0:
+        if count == 4:
+            continue
+        if count == 0:
+            for b in range(bands):
                 out[c, b] = 0
-                continue
+            continue
+        for b in range(bands):
             i, k = 2 * c * bands + b, d * bands + b
             total = a00 * upper[i] + a01 * upper[k] + a10 * lower[i] + a11 * lower[k]
             out[c, b] = (2 * total + count) // (2 * count)
@@ -110,7 +107,7 @@ def halve_floats(src: Image, valid: Bytes, masked: bool, out: Image, out_valid: 
     for r in range(out.shape[0]):
         r0, r1 = 2 * r, min(2 * r + 1, rows - 1)
         if masked:
-            _halve_validity(valid[r0], valid[r1], out_valid[r])
+            _count_valid(valid[r0], valid[r1], out_valid[r])
         for c in range(out.shape[1]):
             c0, c1 = 2 * c, min(2 * c + 1, cols - 1)
             for b in range(bands):
@@ -184,10 +181,30 @@ def take_float_differences(tile: Bytes, bands: int, out: Bytes) -> None:
     for r in range(rows):
         source, target = tile[r], out[r]
         for plane in range(4):
-            for i in range(count):
-                target[plane * count + i] = source[4 * i + 3 - plane]
-        for i in range(width - 1, bands - 1, -1):
-            target[i] -= target[i - bands]
+            byte = 3 - plane
+            for i in range(bands):
+                # The last samples of the plane before this one; nothing before the first.
+                before = source[4 * (count - bands + i) + byte + 1] if plane else np.uint8(0)
+                target[plane * count + i] = source[4 * i + byte] - before
+            differences = target[plane * count + bands : (plane + 1) * count]
+            for i in range(count - bands):
+                differences[i] = source[4 * (i + bands) + byte] - source[4 * i + byte]
+
+
+@kernel
+def valid_by_nodata(src: Image, nodata: Any, out: Bytes) -> int:
+    """Which pixels have a sample that is neither `nodata` nor NaN; how many."""
+    rows, cols, bands = src.shape
+    count = 0
+    for r in range(rows):
+        for c in range(cols):
+            known = False
+            for b in range(bands):
+                value = src[r, c, b]
+                known |= (value != nodata) & (value == value)
+            out[r, c] = known
+            count += known
+    return count
 
 
 @kernel
@@ -202,19 +219,23 @@ def fill_tile(
     bands = src.shape[2]
     rows = min(out.shape[0], src.shape[0] - row0)
     cols = min(out.shape[1], src.shape[1] - col0)
-    for r in range(rows):
-        for c in range(cols):
-            if masked and not valid[row0 + r, col0 + c]:
-                for b in range(bands):
-                    out[r, c, b] = fill
-            else:
-                for b in range(bands):
-                    value = src[row0 + r, col0 + c, b]
-                    out[r, c, b] = nudged if value == fill else value
-        for c in range(cols, out.shape[1]):
-            for b in range(bands):
-                out[r, c, b] = out[r, cols - 1, b]
+    src2 = src.reshape(src.shape[0], src.shape[1] * bands)
     out2 = out.reshape(out.shape[0], out.shape[1] * bands)
+    for r in range(rows):
+        source, target = src2[row0 + r, col0 * bands : (col0 + cols) * bands], out2[r]
+        for i in range(cols * bands):
+            target[i] = source[i]
+        if nudged != fill:
+            for i in range(cols * bands):
+                target[i] = nudged if target[i] == fill else target[i]
+        if masked:
+            known = valid[row0 + r, col0 : col0 + cols]
+            for c in range(cols):
+                if not known[c]:
+                    for b in range(bands):
+                        target[c * bands + b] = fill
+        for i in range(cols * bands, target.shape[0]):
+            target[i] = target[i - bands]
     for r in range(rows, out.shape[0]):
         source, target = out2[rows - 1], out2[r]
         for i in range(source.shape[0]):
@@ -231,34 +252,31 @@ def add_statistics(
     pixels.
     """
     rows, cols, bands = src.shape
-    width = cols * bands
-    src2 = src.reshape(rows, width)
+    src2 = src.reshape(rows, cols * bands)
     pixels = 0
     for r in range(rows):
-        count = cols
-        if masked:
-            count = 0
-            for c in range(cols):
-                count += valid[r, c]
-        pixels += count
-        row = src2[r]
-        if count == cols:
-            for i in range(width):
-                value = total.dtype.type(row[i])
-                total[i] += value
-                squares[i] += value * value
-            for i in range(width):
-                low[i] = min(low[i], row[i])
-                high[i] = max(high[i], row[i])
-        elif count:
-            for c in range(cols):
-                if valid[r, c]:
-                    for i in range(c * bands, (c + 1) * bands):
-                        value = total.dtype.type(row[i])
-                        total[i] += value
-                        squares[i] += value * value
-                        low[i] = min(low[i], row[i])
-                        high[i] = max(high[i], row[i])
+        begin = 0
+        # Runs of valid pixels, so that the loops over their samples become vector instructions.
+        while begin < cols:
+            end = cols
+            if masked:
+                while begin < cols and not valid[r, begin]:
+                    begin += 1
+                end = begin
+                while end < cols and valid[r, end]:
+                    end += 1
+            pixels += end - begin
+            first, last = begin * bands, end * bands
+            run, run_low, run_high = src2[r, first:last], low[first:last], high[first:last]
+            run_total, run_squares = total[first:last], squares[first:last]
+            for i in range(last - first):
+                value = total.dtype.type(run[i])
+                run_total[i] += value
+                run_squares[i] += value * value
+            for i in range(last - first):
+                run_low[i] = min(run_low[i], run[i])
+                run_high[i] = max(run_high[i], run[i])
+            begin = end
     return pixels
 
 
