@@ -45,7 +45,7 @@ def test_the_first_error_of_a_task_is_raised_as_it_was_and_stops_the_rest(cluste
 
 
 def test_buffers_that_a_thread_uses_again_come_back_whole(cluster, tmp_path):
-    plan = TilePlan((500, 400), 16, 2)
+    plan = TilePlan((200, 160), 16, 2)
     scratch = threading.local()
 
     def task(chunk):
