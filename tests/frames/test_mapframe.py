@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stereomate.errors import CrsError
-from stereomate.frames.crs import datum_note, geodetic_of
+from stereomate.frames.crs import datum_note, datum_operation, geodetic_of
 from stereomate.frames.heights import HeightSystem
 from stereomate.frames.mapframe import MapFrame
 from stereomate.frames.orientation import ExteriorOrientation
@@ -114,6 +114,18 @@ def test_datum_differences_are_transformed_or_refused():
     moon = MapFrame("IAU_2015:30100", ELLIPSOIDAL)
     with pytest.raises(CrsError, match="has no transformation"):
         map_from_map(etrs, moon, (10.0, 50.0, 0.0))
+
+
+def test_the_operation_between_datums_is_told_with_its_accuracy():
+    swiss, etrs, wgs = (geodetic_of(crs) for crs in ("EPSG:2056", "EPSG:25832", "EPSG:32632"))
+    name, accuracy = datum_operation(swiss, etrs, 8.0, 47.0)
+    assert name == "CH1903+ to ETRS89 (1)"
+    assert accuracy == 0.1
+    assert datum_operation(etrs, etrs, 8.0, 47.0) is None
+    name, accuracy = datum_operation(geodetic_of("EPSG:31467"), etrs, 9.0, 51.0)
+    assert "DHDN to ETRS89" in name
+    assert accuracy is None or accuracy >= 1.0
+    assert datum_operation(wgs, etrs, 9.0, 51.0) is not None
 
 
 def test_an_unnamed_datum_on_the_same_ellipsoid_is_taken_as_its_partners_and_said():

@@ -159,6 +159,7 @@ def test_the_example_of_the_paper():
     assert "M2, M3, M4, M1." in words
 
 
+@pytest.mark.slow
 def test_relief_under_the_classical_correction():
     """Distances stay at each point's height: control at another height forces its scale on hills."""
     plan = plan_at("GK+2", 1500.0, relief_m=200.0)

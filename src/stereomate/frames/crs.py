@@ -7,24 +7,22 @@ above the ellipsoid of their own datum. PROJ's native units and prime meridians 
 
 from __future__ import annotations
 
-import functools
 import re
 import threading
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 import pyproj
 import pyproj.datadir
-import pyproj.network
 from numpy.typing import NDArray
 from pyproj.exceptions import CRSError as PyprojCrsError
 from pyproj.exceptions import ProjError
 from pyproj.transformer import TransformerGroup
 
 from stereomate.errors import CrsError, HeightSystemError, MissingGridError
+from stereomate.frames.perthread import per_thread
 
 Array = NDArray[np.float64]
 
@@ -32,32 +30,7 @@ Array = NDArray[np.float64]
 WGS84: Final = "EPSG:4979"
 
 _DEGREE: Final = np.pi / 180.0
-
-
-class _ThreadState(threading.local):
-    """PROJ objects of one thread: a PROJ context belongs to a thread, and so do the objects made in it."""
-
-    def __init__(self) -> None:
-        # Per thread, because PROJ keeps this switch in the context: a downloaded grid would change results
-        # silently.
-        pyproj.network.set_network_enabled(active=False)  # type: ignore[attr-defined]
-        self.cache: dict[tuple[Any, ...], Any] = {}
-
-
 _LOCK = threading.Lock()
-
-
-@functools.lru_cache(maxsize=1)
-def _thread_state() -> _ThreadState:
-    return _ThreadState()
-
-
-def per_thread(key: tuple[Any, ...], build: Callable[[], Any]) -> Any:
-    """Value of `build()` made once per thread and `key`."""
-    cache = _thread_state().cache
-    if key not in cache:
-        cache[key] = build()
-    return cache[key]
 
 
 def parse(text: str) -> pyproj.CRS:
@@ -299,6 +272,31 @@ def datum_note(first: Geodetic, second: Geodetic) -> str | None:
         return None
     unknown, other = (second, first) if first.declared else (first, second)
     return f"{unknown.name!r} names only an ellipsoid; it is taken to be on the datum of {other.name!r}"
+
+
+def datum_operation(
+    source: Geodetic, target: Geodetic, lon: float, lat: float
+) -> tuple[str, float | None] | None:
+    """Name and accuracy in metres (None if unknown) of the transformation at a place; None if none is needed.
+
+    For reports: a transformation without a grid may be good to metres only.
+
+    Raises
+    ------
+    CrsError, MissingGridError
+        As `convert_geodetic`.
+    """
+    if same_datum(source, target):
+        return None
+    place = (np.array([lon]), np.array([lat]), np.zeros(1))
+    convert_geodetic(source, target, *place)
+    transformer = _best_transformer(_three_dimensional(source.crs), _three_dimensional(target.crs))
+    try:
+        used = transformer.get_last_used_operation()
+    except ProjError:  # a transformer that holds one operation only does not tell
+        used = transformer
+    name = str(used.description).replace("axis order change (2D)", "").strip(" +")
+    return name, float(used.accuracy) if used.accuracy >= 0.0 else None
 
 
 def convert_geodetic(

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stereomate.errors import CrsError
-from stereomate.frames.crs import geodetic_of, horizontal_part, parse, per_thread, projection
+from stereomate.frames.crs import geodetic_of, horizontal_part, parse, projection
+from stereomate.frames.perthread import per_thread
 
 Array = NDArray[np.float64]
 

@@ -67,8 +67,10 @@ class HeightSystem:
         HeightSystemError
             If it is no geoid grid.
         """
-        _grid(str(path))
-        return cls("grid_file", str(path), unit_m)
+        # Absolute, so that it means the same file in a worker of another folder.
+        reference = str(Path(path).absolute())
+        _grid(reference)
+        return cls("grid_file", reference, unit_m)
 
     @classmethod
     def undeclared(cls, unit_m: float = 1.0) -> HeightSystem:
