@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Annotated
 
@@ -38,6 +39,7 @@ def _run(
     from stereomate.project.documents import write_documents
     from stereomate.project.run import RunOptions, run, summary_record
 
+    started = time.monotonic()
     settings: Settings = context.obj
     loaded = load(project, strict=strict or None)
     options = RunOptions(
@@ -50,7 +52,7 @@ def _run(
     with log_to_file(out / "run.log"), progress_of(settings, as_json) as progress:
         result = run(loaded, out, options, progress)
         if not result.up_to_date:
-            write_documents(result)
+            write_documents(result, started)
     if as_json:
         print_json(summary_record(result))
     elif settings.verbosity >= 0:

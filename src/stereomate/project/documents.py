@@ -12,13 +12,20 @@ from stereomate.frames.codes import epsg_code, wkt_of
 from stereomate.frames.heights import HeightSystem
 from stereomate.frames.mapframe import MapFrame
 from stereomate.frames.transform import map_from_map
+from stereomate.project.report import write_run_report
 from stereomate.project.run import ProductResult, RunResult
 
 WGS84 = "EPSG:4326"
 
 
-def write_documents(result: RunResult) -> list[Path]:
-    """Write a STAC item per product and the report; returns the files."""
+def write_documents(result: RunResult, started: float) -> list[Path]:
+    """Write a STAC item per product and the report; returns the files.
+
+    Parameters
+    ----------
+    started : float
+        `time.monotonic` at the start of the command, for the report.
+    """
     now = dt.datetime.now(dt.UTC)
     written = []
     for made in result.products:
@@ -26,7 +33,9 @@ def write_documents(result: RunResult) -> list[Path]:
         path = result.out / ("item.json" if not name else f"item_{name}.json")
         write_stac_item(path, _stac_product(result, made), now)
         written.append(path)
-    return written
+    report = result.out / "report.html"
+    write_run_report(report, result, started)
+    return [*written, report]
 
 
 def _stac_product(result: RunResult, made: ProductResult) -> StacProduct:

@@ -104,7 +104,7 @@ def _reduced(
     small = small.reshape(size[1], size[0], source.shape[2])
     if usable is not None:
         blocks = usable[:rows, :cols].reshape(size[1], factor, size[0], factor)
-        usable = blocks.all(axis=3).all(axis=1)
+        usable = np.asarray(np.min(blocks, axis=(1, 3)), np.bool_)
     return small, usable, Window(window.col0 // factor, window.row0 // factor, *size)
 
 

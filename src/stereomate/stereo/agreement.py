@@ -79,15 +79,22 @@ class Agreement:
         Map positions of the matches in orthophoto and stereomate.
     residuals : (n, 2)
         Their residual parallaxes in pixels.
-    parallax_range_px : (low, high)
-        Of q(h) at the matches.
+    parallaxes : (n,)
+        q(h) at the matches, pixels.
     """
 
     ortho_ortho: ParallaxStatistics
     ortho_mate: ParallaxStatistics
     points: Floats
     residuals: Floats
-    parallax_range_px: tuple[float, float]
+    parallaxes: Floats
+
+    @property
+    def parallax_range_px(self) -> tuple[float, float]:
+        """Least and greatest artificial parallax at the matches; NaN without."""
+        if not len(self.parallaxes):
+            return float("nan"), float("nan")
+        return float(self.parallaxes.min()), float(self.parallaxes.max())
 
     def as_record(self) -> dict[str, Any]:
         """Plain values for stereo.json and the report."""
@@ -144,14 +151,12 @@ def measure_agreement(
         stereo.append(residual)
         parallaxes.append(shown)
     residuals = np.concatenate([*stereo, np.empty((0, 2))])
-    q_all = np.concatenate([*parallaxes, np.empty(0)])
-    span = (float(q_all.min()), float(q_all.max())) if len(q_all) else (float("nan"), float("nan"))
     return Agreement(
         statistics(np.concatenate([*plain, np.empty((0, 2))])),
         statistics(residuals),
         np.concatenate([*points, np.empty((0, 2))]),
         residuals,
-        span,
+        np.concatenate([*parallaxes, np.empty(0)]),
     )
 
 

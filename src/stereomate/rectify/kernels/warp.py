@@ -64,7 +64,7 @@ def _camera_points(
     last_cell = line.shape[0] - 2
     c = 0
     while c < cols:
-        if not column[c] == column[c]:
+        if column[c] != column[c]:  # NaN: no ground
             out[:, c] = np.nan
             c += 1
             continue

@@ -1,0 +1,232 @@
+"""What the report of a run says: from the values of the run to sections, tables and pictures."""
+
+from __future__ import annotations
+
+import math
+import resource
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from stereomate import __version__
+from stereomate.project.run import ProductResult, RunResult
+from stereomate.rectify.job import RectifyJob
+from stereomate.report.page import Picture, ReportContent, Section, Table, write_report
+from stereomate.report.run_figures import (
+    law_figure,
+    layout_figure,
+    overlap_figure,
+    residual_figure,
+    svg_uri,
+)
+from stereomate.report.stereo_pictures import detail_anaglyph, jpeg_uri, product_pictures
+from stereomate.stereo.agreement import Agreement, ParallaxStatistics
+
+NOT_MODELLED = (
+    "Atmospheric refraction is not applied to rays unless the camera or the orientation already contains it.",
+    "The deflection of the vertical and the slope of the geoid inside a photograph are not modelled.",
+    "Objects that are not in the height model (trees, buildings, bridges) lean in the orthophoto.",
+    "Their heights read through the parallax law are in error on slopes: residual parallaxes are not homogeneous.",
+    "Errors of orientation and height model are not separated here: the measured parallaxes hold both.",
+    "The standard deviations of the orientation are not known to this run, so none are propagated.",
+)
+
+
+def write_run_report(path: Path, result: RunResult, started: float) -> None:
+    """Write the report of a run.
+
+    Parameters
+    ----------
+    started : float
+        `time.monotonic` at the start of the command.
+    """
+    write_report(path, run_content(result, time.monotonic() - started))
+
+
+def run_content(result: RunResult, seconds: float) -> ReportContent:
+    """Everything the report shows."""
+    project = result.project
+    sections = [_layout(result)]
+    sections += [_product(result.out, made) for made in result.products]
+    sections += [_pairs(result), _given(result), Section("Not modelled", items=NOT_MODELLED)]
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    return ReportContent(
+        title=project.name or project.path.stem,
+        subtitle="Orthophoto and stereomate" if result.products[0].product.job.is_stereo else "Orthophoto",
+        facts=_facts(result),
+        sections=sections,
+        footer=(
+            f"stereomate {__version__} · {' '.join(sys.argv)} · {seconds:.0f} s · "
+            f"peak memory {memory:.0f} MB · key {result.key[:16]}"
+        ),
+        meta={"software": f"stereomate {__version__}"},
+    )
+
+
+def _facts(result: RunResult) -> list[tuple[str, str]]:
+    project, coverage = result.project, result.coverage
+    first = result.products[0]
+    grid = first.product.job.grid
+    facts = [
+        ("Map", f"{project.frame.name}"),
+        ("Heights", project.frame.heights.description),
+        ("Photographs", f"{len(project.survey.photographs)} used, {len(project.problems)} left out"),
+        ("GSD of the photographs", f"{coverage.gsd_m:.3g} m"),
+        ("Product", f"{grid.size[0]} x {grid.size[1]} pixels of {grid.gsd:g} m"),
+    ]
+    if first.agreement is not None:
+        facts.append(("Orthophoto against orthophoto", _statistics(first.agreement.ortho_ortho)))
+        facts.append(("x-parallax minus q(h), y-parallax", _statistics(first.agreement.ortho_mate)))
+    return facts
+
+
+def _statistics(s: ParallaxStatistics) -> str:
+    if not s.count:
+        return "no matches"
+    (mx, my), (nx, ny) = s.median_px, s.nmad_px
+    return f"median {mx:+.3f} / {my:+.3f} px, nmad {nx:.3f} / {ny:.3f} px ({s.count} matches)"
+
+
+def _layout(result: RunResult) -> Section:
+    project, coverage = result.project, result.coverage
+    jobs = [made.product.job for made in result.products]
+    rows = tuple(
+        (f.name, f"{f.gsd_m:.3f}", f"{f.height_above_ground_m:.1f}", f"{f.tilt_deg:.2f}", f"{f.covered:.0%}")
+        for f in coverage.known
+    )
+    headings = ("photograph", "GSD, m", "height above ground, m", "tilt, °", "covered by height model")
+    layout = svg_uri(layout_figure(project.survey, coverage, project.require_heights(), jobs))
+    overlap = svg_uri(overlap_figure(coverage, project.survey, jobs))
+    return Section(
+        "Block",
+        pictures=(
+            Picture(
+                layout,
+                "Projection centres, footprints and bases of the models on the shaded height model; dashed: "
+                "outline of the products.",
+                "Map of the block",
+                Table(headings, rows),
+            ),
+            Picture(overlap, "Number of photographs that show each place.", "Map of the overlap"),
+        ),
+    )
+
+
+def _product(out: Path, made: ProductResult) -> Section:
+    job, files = made.product.job, made.product.files
+    pictures = product_pictures(out, files.ortho, files.mate)
+    shown = [Picture(jpeg_uri(pictures["ortho"]), f"{files.ortho}: for the left eye.", "Orthophoto")]
+    paragraphs = [_grid_text(job)]
+    tables = []
+    if files.mate is not None:
+        shown.append(Picture(jpeg_uri(pictures["mate"]), f"{files.mate}: for the right eye.", "Stereomate"))
+        shown.append(
+            Picture(
+                jpeg_uri(pictures["anaglyph"]),
+                "Anaglyph of the whole product: red glass before the left eye, cyan before the right.",
+                "Anaglyph of the product",
+                wide=True,
+            )
+        )
+        paragraphs.append(_law_text(job))
+        shown.append(
+            Picture(svg_uri(law_figure(job)), "Parallax laws over the heights of the product.", "Laws")
+        )
+    if made.agreement is not None and files.mate is not None:
+        tables.append(_agreement_table(made.agreement))
+        shown += _agreement_pictures(out, made, made.agreement)
+    title = "Product" if not job.name else f"Product {job.name}"
+    return Section(title, tuple(paragraphs), tuple(tables), tuple(shown))
+
+
+def _grid_text(job: RectifyJob) -> str:
+    turned = math.degrees(job.grid.rotation)
+    direction = "north-up" if turned == 0.0 else f"rows turned by {-turned:+.3f}° along the base"
+    text = f"Grid {direction}, origin on whole GSDs; {job.options.resampling} resampling, "
+    return text + f"{job.options.heights_interpolation} heights, hidden ground: {job.options.hidden}."
+
+
+def _law_text(job: RectifyJob) -> str:
+    law = job.law
+    residual = max((abs(m.base_v_m) for m in job.models if m.right >= 0 and m.penalty < 0.7), default=0.0)
+    depth = float(np.median([m.height_above_ground_m for m in job.models if m.right >= 0]))
+    y = residual * job.options.object_height_m / depth / job.frame.unit_m / job.grid.gsd
+    q_low, q_high = (float(q) / job.grid.gsd for q in law.q(list(job.height_range)))
+    return (
+        f"{law.kind.capitalize()} law with nominal base {law.base_m:.2f} m, w0 {law.w0_m:.2f} m above the "
+        f"reference level {law.reference_m:.2f} m: parallaxes of {q_low:.1f} to {q_high:.1f} pixels. An object "
+        f"{job.options.object_height_m:g} m high shows at most {y:.2f} pixels of y-parallax."
+    )
+
+
+def _agreement_table(agreement: Agreement) -> Table:
+    rows = []
+    for name, s in (
+        ("orthophoto left against orthophoto right", agreement.ortho_ortho),
+        ("orthophoto against stereomate, minus q(h)", agreement.ortho_mate),
+    ):
+        if s.count:
+            cells = [f"{v:+.3f}" for v in s.median_px] + [f"{v:.3f}" for v in s.nmad_px]
+            cells += [f"{v:.2f}" for v in s.largest_px]
+        else:
+            cells = ["–"] * 6
+        rows.append((name, str(s.count), *cells))
+    headings = ("pixels", "matches", "median x", "median y", "nmad x", "nmad y", "largest x", "largest y")
+    return Table(headings, tuple(rows), "Measured by image matching on a sample of windows; left minus right")
+
+
+def _agreement_pictures(out: Path, made: ProductResult, agreement: Agreement) -> list[Picture]:
+    if not len(agreement.residuals):
+        return []
+    job, files = made.product.job, made.product.files
+    assert files.mate is not None
+    figure = svg_uri(residual_figure(agreement))
+    pixels = job.grid.pixel_from_map(agreement.points)
+    middle = int(np.argmin(np.hypot(*(pixels - np.median(pixels, axis=0)).T)))
+    detail = detail_anaglyph(
+        out,
+        files.ortho,
+        files.mate,
+        (float(pixels[middle, 0]), float(pixels[middle, 1])),
+        agreement.parallaxes[middle],
+    )
+    return [
+        Picture(
+            figure, "Measured parallaxes of the matches, the law's share taken off.", "Residual parallaxes"
+        ),
+        Picture(jpeg_uri(detail), "Anaglyph of a detail at full resolution.", "Anaglyph of a detail"),
+    ]
+
+
+def _pairs(result: RunResult) -> Section:
+    serving = {
+        frozenset((job.photographs[m.left].name, job.photographs[m.right].name))
+        for job in (made.product.job for made in result.products)
+        for m in job.models
+        if m.right >= 0
+    }
+    rows = tuple(
+        (
+            *pair.names,
+            f"{pair.overlap:.0%}",
+            f"{pair.base_m:.2f}",
+            f"{pair.base_height:.3f}",
+            f"{pair.azimuth_deg:.2f}",
+            "yes" if frozenset(pair.names) in serving else "",
+        )
+        for pair in result.coverage.pairs
+    )
+    headings = ("photograph", "photograph", "overlap", "base, m", "base/height", "azimuth, °", "model")
+    return Section("Pairs", tables=(Table(headings, rows),))
+
+
+def _given(result: RunResult) -> Section:
+    project = result.project
+    rows = tuple((item.role, item.path.name, item.digest[:16]) for item in project.inputs)
+    model = project.require_heights()
+    rows += (("height model", Path(model.name).name, model.content_hash[:16]),)
+    items = tuple(project.notes) + tuple(f"left out: {problem.error}" for problem in project.problems)
+    tables = (Table(("role", "file", "SHA-256"), rows, "Files that were read"),)
+    return Section("Given and assumed", items=items, tables=tables)
