@@ -28,7 +28,7 @@ NOT_MODELLED = (
     "Atmospheric refraction is not applied to rays unless the camera or the orientation already contains it.",
     "The deflection of the vertical and the slope of the geoid inside a photograph are not modelled.",
     "Objects that are not in the height model (trees, buildings, bridges) lean in the orthophoto.",
-    "Their heights read through the parallax law are in error on slopes: residual parallaxes are not homogeneous.",
+    "Their heights read through the parallax law are wrong on slopes: residual parallaxes vary.",
     "Errors of orientation and height model are not separated here: the measured parallaxes hold both.",
     "The standard deviations of the orientation are not known to this run, so none are propagated.",
 )
@@ -156,8 +156,8 @@ def _law_text(job: RectifyJob) -> str:
     q_low, q_high = (float(q) / job.grid.gsd for q in law.q(list(job.height_range)))
     return (
         f"{law.kind.capitalize()} law with nominal base {law.base_m:.2f} m, w0 {law.w0_m:.2f} m above the "
-        f"reference level {law.reference_m:.2f} m: parallaxes of {q_low:.1f} to {q_high:.1f} pixels. An object "
-        f"{job.options.object_height_m:g} m high shows at most {y:.2f} pixels of y-parallax."
+        f"reference level {law.reference_m:.2f} m: parallaxes of {q_low:.1f} to {q_high:.1f} pixels. "
+        f"An object {job.options.object_height_m:g} m high shows at most {y:.2f} pixels of y-parallax."
     )
 
 
