@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rasterio.errors import RasterioError
 
 from stereomate.errors import HeightSystemError, MissingGridError
+from stereomate.raster import settings
 
 # Values beyond this are no undulation on Earth (the geoid stays within ±110 m): no-data or another quantity.
 _LARGEST_UNDULATION_M = 200.0
@@ -68,6 +69,7 @@ def read_geoid_grid(path: str | Path) -> GeoidGrid:
     """
     if not Path(path).is_file():
         raise MissingGridError("the geoid grid is not on this machine", file=path, field="heights")
+    settings.current()
     try:
         with rasterio.open(path) as grid:
             values = grid.read(1).astype(np.float64) * grid.scales[0] + grid.offsets[0]
