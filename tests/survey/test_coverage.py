@@ -136,6 +136,16 @@ def test_not_reaching_the_terrain() -> None:
         footprint(survey, survey.photographs[1], 200.0)
 
 
+@pytest.mark.parametrize(
+    "crs, x, y", [("EPSG:2193", 1.6e6, 5.4e6), ("EPSG:32760", 5e5, 5.5e6), ("EPSG:3031", 0.0, 0.0)]
+)
+def test_a_height_model_in_another_country(crs: str, x: float, y: float) -> None:
+    frame = MapFrame(crs, HeightSystem.ellipsoidal())
+    elsewhere = HeightModel.from_array(np.full((50, 50), 100.0), (25.0, 0.0, x, 0.0, -25.0, y), frame)
+    with pytest.raises(CoverageError, match="does not reach the height model"):
+        survey_coverage(strip(), elsewhere)
+
+
 def strip() -> Survey:
     """60 % forward overlap along the shorter side, two lines with 30 % side overlap, one flown back."""
     rows = [(f"1-{k}", X0 + 192.0 * k * TAU, Y0, 1200.0, 0, 0, 90) for k in range(4)]
