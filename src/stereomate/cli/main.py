@@ -25,6 +25,7 @@ COMMANDS: Final = (
     "init",
     "check",
     "run",
+    "demo",
     "overcorrection",
     "empirical",
 )
