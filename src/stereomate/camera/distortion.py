@@ -8,7 +8,7 @@ the formulas with their sources; `stereomate.camera.packing` brings all of them 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import ClassVar, Literal, get_args
 
 import numpy as np
@@ -214,15 +214,3 @@ Distortion = NoDistortion | BrownDistortion | OpenCVDistortion | FisheyeDistorti
 def coefficients(distortion: Distortion) -> tuple[float, ...]:
     """Values of the coefficients in the order of ``coefficient_names``."""
     return tuple(getattr(distortion, name) for name in distortion.coefficient_names)
-
-
-def is_identity(distortion: Distortion) -> bool:
-    """Whether the model leaves every point where it is."""
-    if isinstance(distortion, FisheyeDistortion):
-        return False
-    return not any(coefficients(distortion))
-
-
-def field_names(distortion: Distortion) -> tuple[str, ...]:
-    """Names of all fields of the model, coefficients and declarations."""
-    return tuple(field.name for field in fields(distortion))

@@ -1,7 +1,7 @@
 """Atmospheric refraction of near-vertical photographs, as part of the distortion.
 
-``δr = K (r + r³ / c²)``, away from the nadir point; K of the ARDC 1959 standard atmosphere (Bertram 1966; Manual
-of Photogrammetry; also Wolf & Dewitt): heights in km above sea level, K in microradians
+``δr = K (r + r³ / c²)``, away from the nadir point. K of the ARDC 1959 standard atmosphere (Bertram 1966;
+Manual of Photogrammetry; also Wolf & Dewitt), heights in km above sea level, K in microradians:
 
     K = 2410 H / (H² - 6 H + 250) - 2410 h / (h² - 6 h + 250) · h / H
 """
