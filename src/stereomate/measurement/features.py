@@ -115,8 +115,7 @@ def grey_image(pixels: NDArray[Any]) -> NDArray[np.uint8]:
         bands = image[..., :3] if image.shape[2] >= 3 else image[..., :1]
         weights = np.array([0.299, 0.587, 0.114]) if bands.shape[2] == 3 else np.ones(1)
         if image.dtype == np.uint8 and bands.shape[2] == 3:
-            grey = cv2.cvtColor(np.ascontiguousarray(bands), cv2.COLOR_RGB2GRAY)
-            return _bytes(grey)
+            return _bytes(cv2.cvtColor(np.ascontiguousarray(bands), cv2.COLOR_RGB2GRAY))
         image = bands @ weights
     if image.dtype == np.uint8:
         return np.ascontiguousarray(image)
@@ -125,11 +124,11 @@ def grey_image(pixels: NDArray[Any]) -> NDArray[np.uint8]:
         return np.zeros(image.shape, np.uint8)
     low, high = np.percentile(image[finite][:: max(1, finite.sum() // 1_000_000)], [0.1, 99.9])
     stretched = (np.where(finite, image, low) - low) * (255.0 / max(high - low, 1e-12))
-    return np.clip(np.rint(stretched), 0, 255).astype(np.uint8)
+    return _bytes(np.clip(np.rint(stretched), 0, 255))
 
 
 def reduced_image(image: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
-    """Grey image of means over ``factor`` x ``factor`` pixels; incomplete blocks at the far edges are dropped."""
+    """Means over blocks of ``factor`` x ``factor`` pixels; incomplete blocks at the far edges are dropped."""
     if factor <= 1:
         return image
     rows, cols = (side // factor * factor for side in image.shape)
@@ -188,8 +187,7 @@ def detect_features(
 
 
 def _bytes(image: Any) -> NDArray[np.uint8]:
-    grey: NDArray[np.uint8] = image
-    return grey
+    return np.asarray(image, dtype=np.uint8)
 
 
 def _tiles(shape: tuple[int, ...], size: int) -> list[tuple[int, int, int, int]]:

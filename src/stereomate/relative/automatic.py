@@ -1,0 +1,447 @@
+"""Relative orientation from two photographs alone: features, matches, orientation, least-squares matching.
+
+Four steps, each of which can end it with a reason: features of both photographs are matched (reduced images,
+where they are large); the orientation most matches agree on is found; with it, points are looked for again
+near their expected places; the orientation points are measured anew by least-squares matching in the full
+images, and these measurements alone make the result. An orientation is only called determined if the features
+and the least-squares measurements tell the same.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereomate.camera.model import Camera
+from stereomate.errors import ImageError, InputError
+from stereomate.measurement.features import (
+    FeatureOptions,
+    Features,
+    detect_features,
+    grey_image,
+    reduced_image,
+)
+from stereomate.measurement.least_squares_matching import LeastSquaresOptions, match_least_squares
+from stereomate.measurement.matching import (
+    Matches,
+    MatchOptions,
+    match_features,
+    match_features_near,
+)
+from stereomate.relative.guiding import (
+    distances_along_left,
+    local_affine,
+    plane_normal,
+    predict_from_neighbours,
+)
+from stereomate.relative.orientation import RelativeOptions, RelativeOrientation, relative_orientation
+from stereomate.relative.pair import Correspondences, RelativePose, correspondences_from_pixels
+from stereomate.relative.robust import RobustOptions
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# A feature is located to about this part of a pixel of the image it was found in.
+_FEATURE_SIGMA_PX: Final = 0.35
+# What least-squares matching does not know of its own errors: relief within the window, aliasing.
+_WINDOW_SIGMA_PX: Final = 0.05
+
+
+@dataclass(frozen=True)
+class AutomaticOptions:
+    """Options of the steps, and what is asked of the result.
+
+    Parameters
+    ----------
+    largest_side_px : int
+        Features are looked for in images reduced by a whole number to at most this side.
+    features, matching, guided, least_squares, orientation
+        Options of the steps; `guided` for the second matching near the expected places.
+    guided_reach_px : float
+        Radius of the second search in the reduced image, beyond what the relief asks for.
+    least_points : int
+        Fewer orientation points are no orientation.
+    least_spread : float
+        Least share of the model's width and height over which the points must lie, of what the two
+        photographs have in common.
+    """
+
+    largest_side_px: int = 2200
+    features: FeatureOptions = field(default_factory=FeatureOptions)
+    matching: MatchOptions = field(default_factory=MatchOptions)
+    guided: MatchOptions = field(default_factory=lambda: MatchOptions(ratio=0.9))
+    least_squares: LeastSquaresOptions = field(default_factory=LeastSquaresOptions)
+    orientation: RelativeOptions = field(default_factory=RelativeOptions)
+    guided_reach_px: float = 6.0
+    least_points: int = 30
+    least_spread: float = 0.35
+
+    def __post_init__(self) -> None:
+        if self.largest_side_px < 200:
+            raise InputError("must be at least 200", field="largest_side_px", value=self.largest_side_px)
+        if self.least_points < 12:
+            raise InputError("must be at least 12", field="least_points", value=self.least_points)
+
+
+@dataclass(frozen=True)
+class AutomaticOrientation:
+    """Result of the automatic relative orientation.
+
+    Parameters
+    ----------
+    orientation : RelativeOrientation or None
+        From the least-squares measurements (or the last step that was reached); None where there was nothing
+        to orient from.
+    reasons : tuple of str
+        Why there is no orientation; empty if there is.
+    left_px, right_px : ndarray, shape (n, 2)
+        Pixels of the correspondences of `orientation`.
+    counts : dict of str to int
+        Features, matches and points after every step.
+    notes : tuple of str
+        What a reader should know besides: points that could not be measured, agreement of the two steps.
+    """
+
+    orientation: RelativeOrientation | None
+    reasons: tuple[str, ...]
+    left_px: Array
+    right_px: Array
+    counts: dict[str, int]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def determined(self) -> bool:
+        """There is an orientation."""
+        return not self.reasons
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square Sampson distance of the points used, pixels; NaN without an orientation."""
+        if self.orientation is None:
+            return math.nan
+        statistics = self.orientation.points()
+        return float(np.sqrt(np.mean(statistics.sampson[statistics.used] ** 2)))
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of a pair beforehand.
+
+    Parameters
+    ----------
+    pose : RelativePose
+        Approximate relative orientation, from navigation or a former adjustment.
+    distance : float
+        Typical distance of the ground along the left camera's axis, in bases.
+    reach_px : float
+        How far, in pixels, a point may be from where these put it.
+    """
+
+    pose: RelativePose
+    distance: float
+    reach_px: float
+
+
+def orient_photographs(
+    left: NDArray[Any],
+    right: NDArray[Any],
+    left_camera: Camera,
+    right_camera: Camera,
+    options: AutomaticOptions | None = None,
+    prior: Prior | None = None,
+) -> AutomaticOrientation:
+    """Orient two photographs to each other from their pixels.
+
+    Parameters
+    ----------
+    left, right : ndarray, shape (rows, cols) or (rows, cols, bands)
+        Whole photographs as stored.
+    left_camera, right_camera : Camera
+        Their calibrations.
+    options : AutomaticOptions, optional
+    prior : Prior, optional
+        Narrows the search for matches.
+
+    Returns
+    -------
+    AutomaticOrientation
+        With reasons where the photographs do not give an orientation.
+
+    Raises
+    ------
+    ImageError
+        If an image does not have the size its camera says.
+    """
+    options = options or AutomaticOptions()
+    grey = []
+    for name, image, camera in (("left", left, left_camera), ("right", right, right_camera)):
+        if (image.shape[1], image.shape[0]) != camera.size_px:
+            raise ImageError(
+                f"must have the size of camera {camera.name!r}, {camera.size_px[0]} x {camera.size_px[1]} px",
+                field=name,
+                value=(image.shape[1], image.shape[0]),
+            )
+        grey.append(grey_image(image))
+    found = [_features(image, options) for image in grey]
+    pair = _Pair(grey[0], grey[1], left_camera, right_camera, found[0], found[1], options)
+    return pair.orient(prior)
+
+
+def orient_features(
+    left: tuple[NDArray[np.uint8], Features],
+    right: tuple[NDArray[np.uint8], Features],
+    left_camera: Camera,
+    right_camera: Camera,
+    options: AutomaticOptions | None = None,
+    prior: Prior | None = None,
+) -> AutomaticOrientation:
+    """As `orient_photographs`, from grey images and features found before (`photo_features`).
+
+    For blocks: the features of a photograph are found once and serve all its pairs.
+    """
+    options = options or AutomaticOptions()
+    pair = _Pair(left[0], right[0], left_camera, right_camera, left[1], right[1], options)
+    return pair.orient(prior)
+
+
+def photo_features(image: NDArray[np.uint8], options: AutomaticOptions | None = None) -> Features:
+    """Features of a grey photograph, in its own pixels, found in an image reduced as the options say."""
+    return _features(image, options or AutomaticOptions())
+
+
+def _reduction(image: NDArray[np.uint8], options: AutomaticOptions) -> int:
+    longest: int = max(image.shape)
+    return max(1, -(-longest // options.largest_side_px))
+
+
+def _features(image: NDArray[np.uint8], options: AutomaticOptions) -> Features:
+    factor = _reduction(image, options)
+    return detect_features(reduced_image(image, factor), options.features).scaled(float(factor))
+
+
+@dataclass(frozen=True)
+class _Pair:
+    left: NDArray[np.uint8]
+    right: NDArray[np.uint8]
+    left_camera: Camera
+    right_camera: Camera
+    left_features: Features
+    right_features: Features
+    options: AutomaticOptions
+
+    def orient(self, prior: Prior | None) -> AutomaticOrientation:
+        counts = {"left features": len(self.left_features), "right features": len(self.right_features)}
+        matches = self._first_matches(prior)
+        counts["matches"] = len(matches)
+        least = self.options.least_points
+        if len(matches) < least:
+            reason = f"only {len(matches)} matches, {least} are needed: no overlap or no common texture"
+            return _failed(reason, counts)
+        first = self._orientation(matches)
+        counts["matches that agree"] = int(np.count_nonzero(first.used))
+        if not first.determined:
+            return self._result(first, matches, counts, ())
+        matches = self._guided_matches(first, matches)
+        counts["guided matches"] = len(matches)
+        second = self._orientation(matches)
+        counts["guided matches that agree"] = int(np.count_nonzero(second.used))
+        if not second.determined or counts["guided matches that agree"] < least:
+            few = f"only {counts['guided matches that agree']} matches agree, {least} are needed"
+            return self._result(second, matches, counts, () if second.reasons else (few,))
+        return self._measured(second, matches, counts)
+
+    def _first_matches(self, prior: Prior | None) -> Matches:
+        if prior is None:
+            return match_features(self.left_features, self.right_features, self.options.matching)
+        rays = self.left_camera.rays_from_image(self.left_features.pixels)
+        points = rays * prior.distance
+        # A point expected just outside may still lie inside: only places behind the camera are left out.
+        pixels, _ = self.right_camera.image_from_camera(
+            (points - prior.pose.base) @ prior.pose.left_from_right
+        )
+        return match_features_near(
+            self.left_features, self.right_features, pixels, prior.reach_px, self.options.matching
+        )
+
+    def _factor(self) -> float:
+        return float(max(_reduction(self.left, self.options), _reduction(self.right, self.options)))
+
+    def _orientation(self, matches: Matches) -> RelativeOrientation:
+        return relative_orientation(self._correspondences(matches), self.options.orientation)
+
+    def _correspondences(self, matches: Matches) -> Correspondences:
+        return correspondences_from_pixels(
+            self.left_camera,
+            self.right_camera,
+            self.left_features.pixels[matches.left],
+            self.right_features.pixels[matches.right],
+            _FEATURE_SIGMA_PX * self._factor(),
+        )
+
+    def _guided_matches(self, first: RelativeOrientation, matches: Matches) -> Matches:
+        used = np.flatnonzero(first.used)
+        distance = distances_along_left(first.pose, first.adjustment.correspondences)
+        known = used[distance[used] > 0.0]
+        prediction = predict_from_neighbours(
+            self.left_camera,
+            self.right_camera,
+            first.pose,
+            self.left_features.pixels[matches.left[known]],
+            distance[known],
+            self.left_features.pixels,
+        )
+        reach = self.options.guided_reach_px * self._factor() + 1.5 * prediction.reach_px
+        reach = np.minimum(reach, 0.1 * max(self.right.shape))
+        guided = match_features_near(
+            self.left_features, self.right_features, prediction.pixels, reach, self.options.guided
+        )
+        return _united(guided, matches, first.used)
+
+    def _measured(
+        self, found: RelativeOrientation, matches: Matches, counts: dict[str, int]
+    ) -> AutomaticOrientation:
+        """Least-squares matching of the points that agree, and the orientation from these alone."""
+        used = np.flatnonzero(found.used)
+        c = found.adjustment.correspondences
+        distance = distances_along_left(found.pose, c)
+        used = used[distance[used] > 0.0]
+        left_px = self.left_features.pixels[matches.left[used]]
+        right_px = self.right_features.pixels[matches.right[used]]
+        normal = plane_normal(found.pose, c.select(used))
+        affine = local_affine(
+            self.left_camera, self.right_camera, found.pose, left_px, distance[used], normal
+        )
+        measured = match_least_squares(
+            self.left, self.right, left_px, right_px, affine, self.options.least_squares
+        )
+        good = measured.matched & _on_photo(measured.right_px, self.right_camera)
+        good = _without_repetitions(measured.left_px, good)
+        counts["measured by least squares"] = int(np.count_nonzero(good))
+        failures = ", ".join(f"{count} {reason}" for reason, count in measured.failures().items())
+        notes = [f"not measured: {failures}"] if failures else []
+        if np.count_nonzero(good) < self.options.least_points:
+            reason = f"only {np.count_nonzero(good)} points could be measured by least-squares matching"
+            return self._result(found, matches, counts, (reason,), tuple(notes))
+        left_px, right_px = measured.left_px[good], measured.right_px[good]
+        floor = np.array([1.0, 0.0, 1.0]) * _WINDOW_SIGMA_PX**2
+        correspondences = correspondences_from_pixels(
+            self.left_camera,
+            self.right_camera,
+            left_px,
+            right_px,
+            _WINDOW_SIGMA_PX,
+            (None, measured.covariance_px[good] + floor),
+        )
+        result = relative_orientation(correspondences, self._last_options())
+        counts["orientation points"] = int(np.count_nonzero(result.used))
+        reasons = result.reasons or self._doubts(found, result, left_px)
+        return AutomaticOrientation(result, reasons, left_px, right_px, counts, tuple(notes))
+
+    def _last_options(self) -> RelativeOptions:
+        o = self.options.orientation
+        # The sigmas of matching are those of good textures: the others are no gross errors.
+        search = RobustOptions(
+            limit_sigmas=4.0 * o.search.limit_sigmas,
+            confidence=o.search.confidence,
+            least_samples=o.search.least_samples,
+            most_samples=o.search.most_samples,
+            subset=o.search.subset,
+            seed=o.search.seed,
+        )
+        return RelativeOptions(o.robust, search, o.adjustment, o.snooping, o.diagnosis)
+
+    def _doubts(
+        self, features: RelativeOrientation, measured: RelativeOrientation, left_px: Array
+    ) -> tuple[str, ...]:
+        """Reasons not to believe an orientation that converged."""
+        doubts = []
+        count = int(np.count_nonzero(measured.used))
+        if count < self.options.least_points:
+            doubts.append(f"only {count} orientation points agree, {self.options.least_points} are needed")
+        turn, tilt = features.pose.angles_to(measured.pose)
+        covariance = features.adjustment.covariance + measured.adjustment.covariance
+        allowed = 6.0 * math.sqrt(float(np.linalg.eigvalsh(covariance)[-1])) + math.radians(0.05)
+        if max(turn, tilt) > allowed:
+            doubts.append(
+                "features and least-squares matching give different orientations: "
+                f"{math.degrees(max(turn, tilt)):.2f}° apart, {math.degrees(allowed):.2f}° expected at most"
+            )
+        share = self._spread(measured, left_px)
+        if share < self.options.least_spread:
+            doubts.append(
+                f"the orientation points span {100.0 * share:.0f} % of the overlap's width or height, "
+                f"{100.0 * self.options.least_spread:.0f} % are needed: no common texture in the rest"
+            )
+        return tuple(doubts)
+
+    def _spread(self, result: RelativeOrientation, left_px: Array) -> float:
+        """Smaller of the shares of the overlap's width and height in the left photograph that points span."""
+        distance = distances_along_left(result.pose, result.adjustment.correspondences)
+        typical = float(np.median(distance[result.used]))
+        columns, rows = self.left_camera.size_px
+        grid = np.stack(
+            np.meshgrid((np.arange(40) + 0.5) / 40 * columns, (np.arange(40) + 0.5) / 40 * rows), axis=-1
+        ).reshape(-1, 2)
+        points = self.left_camera.rays_from_image(grid) * typical
+        _, inside = self.right_camera.image_from_camera(
+            (points - result.pose.base) @ result.pose.left_from_right
+        )
+        if np.count_nonzero(inside) < 4:
+            return 0.0
+        whole = np.ptp(grid[inside], axis=0) + np.array([columns, rows]) / 40
+        low, high = np.percentile(left_px[result.used], [2.0, 98.0], axis=0)
+        return float(min(1.0, ((high - low) / 0.96 / whole).min()))
+
+    def _result(
+        self,
+        orientation: RelativeOrientation,
+        matches: Matches,
+        counts: dict[str, int],
+        reasons: tuple[str, ...],
+        notes: tuple[str, ...] = (),
+    ) -> AutomaticOrientation:
+        return AutomaticOrientation(
+            orientation,
+            (*orientation.reasons, *reasons),
+            self.left_features.pixels[matches.left],
+            self.right_features.pixels[matches.right],
+            counts,
+            notes,
+        )
+
+
+def _failed(reason: str, counts: dict[str, int]) -> AutomaticOrientation:
+    nothing = np.empty((0, 2))
+    return AutomaticOrientation(None, (reason,), nothing, nothing, counts)
+
+
+def _on_photo(pixels: Array, camera: Camera) -> Mask:
+    # Comparisons with NaN, where nothing was measured, are false.
+    inside = (pixels > 0.0) & (pixels < np.array(camera.size_px))
+    return np.asarray(inside.all(axis=1))
+
+
+def _without_repetitions(left_px: Array, good: Mask) -> Mask:
+    """Several features in one pixel make one orientation point."""
+    rows = np.flatnonzero(good)
+    _, first = np.unique(left_px[rows], axis=0, return_index=True)
+    kept = np.zeros(len(good), dtype=np.bool_)
+    kept[rows[first]] = True
+    return kept
+
+
+def _united(guided: Matches, first: Matches, used: Mask) -> Matches:
+    """Guided matches, and those of the first ones that agreed and whose points are still free."""
+    keep = used & ~np.isin(first.left, guided.left) & ~np.isin(first.right, guided.right)
+    rows = np.flatnonzero(keep)
+    order = np.argsort(np.concatenate([guided.left, first.left[rows]]), kind="stable")
+    return Matches(
+        np.concatenate([guided.left, first.left[rows]])[order],
+        np.concatenate([guided.right, first.right[rows]])[order],
+        np.concatenate([guided.distance, first.distance[rows]])[order],
+        np.concatenate([guided.ratio, first.ratio[rows]])[order],
+    )
