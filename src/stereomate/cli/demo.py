@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -69,6 +70,7 @@ def _make(
     from stereomate.synthetic.survey import make_survey
     from stereomate.tiles.executor import executor_of
 
+    started = time.monotonic()
     seed, strips, photos, heading = choice
     progress("world", 0, 1)
     survey = make_survey(
@@ -87,7 +89,7 @@ def _make(
         load(written.project), folder / "products", RunOptions(threads=threads, fresh=True), progress
     )
     if not result.up_to_date:
-        write_documents(result)
+        write_documents(result, started)
     return survey, result
 
 
