@@ -232,7 +232,8 @@ def test_occlusion_against_dense_steps(seed: int) -> None:
     h = kernels.bilinear(patch, col, row)
     if math.isnan(h):
         return
-    direction = np.array([rng.uniform(-300, 300), rng.uniform(-300, 300), rng.uniform(20, 400)])
+    reach = rng.choice([5.0, 300.0])  # the nadir in the patch, or far outside
+    direction = np.array([*rng.uniform(-reach, reach, 2), rng.uniform(0.1, 1.5) * reach])
     if seed % 7 == 0:
         direction[0] = 0.0
     h_max = np.nanmax(patch)
@@ -240,8 +241,11 @@ def test_occlusion_against_dense_steps(seed: int) -> None:
     heights = sampled(kernels.bilinear_points, patch, col + ts * direction[0], row + ts * direction[1])
     depth = np.nanmax(np.append(heights - (h + ts * direction[2]), 0.0))
     maxima = kernels.block_maxima(patch, 4)
+    centre = np.array([col, row, h]) + direction
+    bounds = kernels.sight_bounds(patch, *centre)
     for tolerance in (1e-9, 0.05):
         found = kernels.occluded(patch, col, row, h, *direction, h_max, tolerance)
+        assert found == kernels.occluded_bounded(patch, bounds, col, row, h, *centre, tolerance)
         assert found == kernels.occluded_blockwise(
             patch, maxima, 4, col, row, h, *direction, h_max, tolerance
         )
@@ -265,6 +269,26 @@ def test_a_wall_hides_what_geometry_says() -> None:
     assert hidden == expected
     assert kernels.occluded(patch, 31.0, 2.5, 5.0, -100.0, 0.0, 100.0, 10.0, 1e-6)
     assert not kernels.occluded(patch, 30.0, 2.5, 5.0, -100.0, 0.0, 100.0, 10.0, 1e-6)
+
+
+def test_sight_bounds_hold_for_every_point_between() -> None:
+    """Dense points of the surface on the way to the nadir never exceed the bound of the first cell."""
+    patch = rough(12, 20, 24, relief=15.0)
+    patch[5, 6] = np.nan
+    rng = np.random.default_rng(13)
+    for centre in ((11.3, 9.8, 180.0), (-40.0, 9.8, 200.0), (60.0, -35.0, 260.0), (12.5, 50.0, 150.0)):
+        bounds = kernels.sight_bounds(patch, *centre)
+        assert bounds.shape == (19, 23)
+        for _ in range(200):
+            col, row = rng.uniform(0.5, 23.5), rng.uniform(0.5, 19.5)
+            t = np.linspace(0.0, 1.0, 400)
+            cols, rows = col + t * (centre[0] - col), row + t * (centre[1] - row)
+            heights = sampled(kernels.bilinear_points, patch, cols, rows)
+            tangents = np.hypot(cols - centre[0], rows - centre[1]) / (centre[2] - heights)
+            if np.isfinite(tangents).any():
+                assert np.nanmax(tangents) <= bounds[int(row - 0.5), int(col - 0.5)] + 1e-12
+    high = kernels.sight_bounds(patch, 11.3, 9.8, 105.0)
+    assert np.isinf(high).any()
 
 
 def test_block_maxima_and_steepest_slope() -> None:

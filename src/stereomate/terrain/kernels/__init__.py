@@ -18,6 +18,8 @@ from stereomate.terrain.kernels.rays import (
     first_hits,
     occluded,
     occluded_blockwise,
+    occluded_bounded,
+    sight_bounds,
     steepest_slope,
 )
 from stereomate.terrain.kernels.sampling import (
@@ -53,7 +55,9 @@ __all__ = [
     "first_hits",
     "occluded",
     "occluded_blockwise",
+    "occluded_bounded",
     "sample",
     "sample_line",
+    "sight_bounds",
     "steepest_slope",
 ]

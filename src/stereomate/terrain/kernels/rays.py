@@ -314,6 +314,113 @@ def occluded_blockwise(
                 return False
 
 
+@inline_kernel
+def _obliquity(patch: Floats, i: int, j: int, col: float, row: float, h: float) -> float:
+    """Horizontal distance (pixels) over height difference from a centre to the steepest corner of a cell.
+
+    Along lines parallel to the axes distance is convex and height linear, so their ratio is quasiconvex: the
+    largest value over a bilinear cell is at a corner. -inf for cells with a void.
+    """
+    largest = -math.inf
+    for m in range(i, i + 2):
+        for n in range(j, j + 2):
+            drop = h - patch[m, n]
+            if drop != drop:
+                return -math.inf
+            x = n + 0.5 - col
+            y = m + 0.5 - row
+            largest = max(largest, math.sqrt(x * x + y * y) / drop if drop > 0.0 else math.inf)
+    return largest
+
+
+@kernel
+def sight_bounds(patch: Floats, col: float, row: float, h: float) -> Floats:
+    """Upper bounds, per cell, of what can block the sight from a projection centre, (rows - 1, cols - 1).
+
+    The tangent of the angle between plumb line and ray (in pixels over metres) that no surface in the cell,
+    or between it and the nadir, exceeds. A ray with at least this tangent is free from the cell on.
+
+    Parameters
+    ----------
+    patch : (rows, cols) float64
+    col, row, h : float
+        The projection centre; its nadir may lie outside the patch.
+    """
+    rows, cols = patch.shape
+    bounds = np.full((max(rows - 1, 0), max(cols - 1, 0)), -math.inf)
+    if rows < 2 or cols < 2:
+        return bounds
+    nadir_i = int(min(max(math.floor(row - 0.5), -1.0), float(rows - 1)))
+    nadir_j = int(min(max(math.floor(col - 0.5), -1.0), float(cols - 1)))
+    # outwards from the nadir: upwards and downwards of it, to its left and to its right
+    for step_i in (-1, 1):
+        i = min(nadir_i, rows - 2) if step_i < 0 else max(nadir_i + 1, 0)
+        while 0 <= i < rows - 1:
+            inner_i = i if i == nadir_i else i - step_i
+            for step_j in (-1, 1):
+                j = min(nadir_j, cols - 2) if step_j < 0 else max(nadir_j + 1, 0)
+                while 0 <= j < cols - 1:
+                    bound = _obliquity(patch, i, j, col, row, h)
+                    if inner_i != i and 0 <= inner_i < rows - 1:
+                        bound = max(bound, bounds[inner_i, j])
+                    inner_j = j if j == nadir_j else j - step_j
+                    if inner_j != j and 0 <= inner_j < cols - 1:
+                        bound = max(bound, bounds[i, inner_j])
+                    bounds[i, j] = bound
+                    j += step_j
+            i += step_i
+    return bounds
+
+
+@inline_kernel
+def occluded_bounded(
+    patch: Floats,
+    bounds: Floats,
+    col: float,
+    row: float,
+    h: float,
+    centre_col: float,
+    centre_row: float,
+    centre_h: float,
+    tolerance: float,
+) -> bool:
+    """``occluded`` for the whole way to a projection centre, ended as soon as nothing can block any more.
+
+    ``bounds`` is ``sight_bounds`` of the same patch and centre: the answer is the same after a few cells.
+    """
+    rows, cols = patch.shape
+    x0 = col - 0.5
+    y0 = row - 0.5
+    dcol = centre_col - col
+    drow = centre_row - row
+    dh = centre_h - h
+    t, t_end = _clip_to_lattice(x0, y0, dcol, drow, cols, rows, 1.0)
+    if rows < 2 or cols < 2 or not t < t_end or not dh > 0.0:
+        return False
+    tangent = math.sqrt(dcol * dcol + drow * drow) / dh
+    j = _cell_of(x0 + t * dcol, dcol, cols)
+    i = _cell_of(y0 + t * drow, drow, rows)
+    while bounds[i, j] > tangent:
+        t_x = (j + (1 if dcol > 0.0 else 0) - x0) / dcol if dcol != 0.0 else math.inf
+        t_y = (i + (1 if drow > 0.0 else 0) - y0) / drow if drow != 0.0 else math.inf
+        t_next = max(t, min(t_x, t_y, t_end))
+        a, b, c = _clearance(patch, i, j, x0 + t * dcol - j, y0 + t * drow - i, h + t * dh, dcol, drow, dh)
+        if _dips_below(a, b, c, t_next - t, tolerance):
+            return True
+        if t_next >= t_end:
+            return False
+        t = t_next
+        if t_x <= t_y:
+            j += 1 if dcol > 0.0 else -1
+            if j < 0 or j > cols - 2:
+                return False
+        if t_y <= t_x:
+            i += 1 if drow > 0.0 else -1
+            if i < 0 or i > rows - 2:
+                return False
+    return False
+
+
 @kernel
 def steepest_slope(patch: Floats, cell_width: float, cell_height: float) -> float:
     """Steepest slope (rise over run) of the bilinear surface of a patch; 0 where there is no surface.
