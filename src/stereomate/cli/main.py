@@ -28,6 +28,7 @@ COMMANDS: Final = (
     "demo",
     "overcorrection",
     "empirical",
+    "georef",
 )
 
 # Global options may stand before or after the command; the value says whether an argument follows.

@@ -186,7 +186,7 @@ def simulated_block(plan: FlightPlan, strips: int = 3, photographs: int = 5) -> 
     rows, cols = np.divmod(np.arange(len(grid)), len(u))
     control = (rows % (2 * strips) == 0) & (cols % 2 == 0)
     heights = np.where(control | ((rows + cols) % 2 == 0), 0.0, plan.relief_m)
-    middle = int(np.argmin(np.abs(grid).sum(axis=1) + np.where(control, 1e9, np.abs(heights))))
+    middle = int(np.argmin(np.abs(grid).sum(axis=1) + np.where(control | (heights != 0.0), 1e9, 0.0)))
     return _photographed(plan, nadirs, np.column_stack([grid, heights]), control, middle)
 
 

@@ -1,0 +1,180 @@
+"""Figures of georeferencing in a map grid: errors of a planned flight, audit of an orientation."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import BoundaryNorm, Colormap
+from matplotlib.figure import Figure
+
+from stereomate.frames.prediction.predict import ErrorMap, Prediction
+from stereomate.frames.prediction.simulate import METHODS, Outcome
+from stereomate.report.overcorrection_style import INK, figure_style
+
+_COLOURS: Final = "RdBu_r"
+_GOOD: Final = "#1a7044"
+_BAD: Final = "#b3261e"
+# What each way of working is, below its bar.
+METHOD_WORDS: Final = {
+    "nothing": "nothing",
+    "P1": "curvature\nonly",
+    "M2": "M2 heights\nscaled",
+    "M3": "M3 c\nscaled",
+    "M4": "M4 image\ncorrections",
+    "M1": "M1 tangent\nframe",
+}
+
+
+def draw_prediction(prediction: Prediction, chart: ErrorMap) -> Figure:
+    """Worst height errors of every way of working, and the map of errors over the area of the projection.
+
+    Parameters
+    ----------
+    prediction : Prediction
+    chart : ErrorMap
+        Of the same plan.
+    """
+    plan = prediction.plan
+    with figure_style():
+        figure = Figure(figsize=(11.0, 5.2), layout="constrained")
+        left, right = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
+        _draw_bars(left, prediction)
+        _draw_map(figure, right, prediction, chart)
+        figure.suptitle(
+            f"{plan.frame.name}: flying height {plan.flying_height_m:g} m above ground at "
+            f"{plan.ground_m:g} m, relief {plan.relief_m:g} m, c {plan.principal_distance_mm:g} mm",
+            fontsize=10.0,
+            color=INK,
+        )
+    return figure
+
+
+def _draw_bars(axes: Axes, prediction: Prediction) -> None:
+    groups = (
+        ("direct", False, "direct, true orientation", "#1f5fa8"),
+        ("indirect", False, "triangulation, c fixed", "#d1600a"),
+        ("indirect", True, "triangulation, c free, GNSS", "#e2a566"),
+    )
+    width = 0.26
+    floor = 1e-4
+    for index, (mode, free, label, colour) in enumerate(groups):
+        at = np.arange(len(METHODS)) + (index - 1) * width
+        outcomes = [prediction.outcome(mode, method, free=free) for method in METHODS]  # type: ignore[arg-type]
+        worst = [abs(outcome.worst_height_m) for outcome in outcomes]
+        axes.bar(at, np.maximum(worst, floor), width * 0.92, bottom=0.0, color=colour, label=label)
+        for x, outcome in zip(at, outcomes, strict=True):
+            size = max(abs(outcome.worst_height_m), floor)
+            axes.text(
+                x,
+                size * 1.12,
+                _height_label(outcome),
+                ha="center",
+                va="bottom",
+                fontsize=6.0,
+                rotation=90,
+                bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
+            )
+    axes.axhline(prediction.expected_m, color=_BAD, linewidth=1.0)
+    axes.text(
+        len(METHODS) - 0.5,
+        prediction.expected_m * 1.06,
+        f"expected of the flight: {prediction.expected_m:.3g} m",
+        color=_BAD,
+        ha="right",
+        va="bottom",
+        fontsize=7.0,
+    )
+    axes.axhline(prediction.expected_m / 3.0, color=_GOOD, linewidth=0.8, linestyle=(0, (4, 3)))
+    axes.text(
+        len(METHODS) - 0.5,
+        prediction.expected_m / 3.0 * 1.06,
+        "a third of it: harmless",
+        color=_GOOD,
+        ha="right",
+        va="bottom",
+        fontsize=7.0,
+    )
+    axes.set_yscale("log")
+    top = max(max(abs(o.worst_height_m) for o in prediction.outcomes), prediction.expected_m)
+    axes.set_ylim(floor, top * 6.0)
+    axes.set_xticks(range(len(METHODS)), [METHOD_WORDS[method] for method in METHODS])
+    axes.set_ylabel("largest height error, m (logarithmic)")
+    axes.legend(loc="upper center", ncols=3, fontsize=7.0)
+
+
+def _height_label(outcome: Outcome) -> str:
+    value = outcome.worst_height_m
+    return "< 0.1 mm" if abs(value) < 1e-4 else f"{value:+.3f}"
+
+
+def _draw_map(figure: Figure, axes: Axes, prediction: Prediction, chart: ErrorMap) -> None:
+    plan = prediction.plan
+    error = chart.height_error_m
+    largest = float(np.nanmax(np.abs(error)))
+    levels = _levels(largest)
+    colours: Colormap = _colormap()
+    drawn = axes.contourf(
+        chart.longitude_deg,
+        chart.latitude_deg,
+        error,
+        levels=levels,
+        cmap=colours,
+        norm=BoundaryNorm(levels, colours.N),
+        extend="both",
+    )
+    zero = [
+        v for v in (-prediction.expected_m, prediction.expected_m) if np.nanmin(error) < v < np.nanmax(error)
+    ]
+    if zero:
+        axes.contour(
+            chart.longitude_deg,
+            chart.latitude_deg,
+            error,
+            levels=zero,
+            colors=_GOOD,
+            linewidths=1.2,
+            linestyles="solid",
+        )
+    axes.plot(
+        plan.tangent.longitude_deg,
+        plan.tangent.latitude_deg,
+        "o",
+        color=INK,
+        markersize=5,
+        markerfacecolor="w",
+    )
+    axes.annotate(
+        "the block",
+        (plan.tangent.longitude_deg, plan.tangent.latitude_deg),
+        xytext=(6, 4),
+        textcoords="offset points",
+        fontsize=7.5,
+    )
+    bar = figure.colorbar(drawn, ax=axes, shrink=0.85, ticks=levels)
+    bar.set_label("height error of points, m")
+    axes.set_title(
+        "Direct georeferencing in the grid, curvature corrected\n"
+        f"(equation 4; ground at {plan.ground_m:g} m; green: ±{prediction.expected_m:.3g} m expected)",
+        fontsize=8.5,
+    )
+    # Zones are strips: drawn at most 1.5 times as high as wide, or they could not be read.
+    middle = np.deg2rad(float(np.mean(chart.latitude_deg)))
+    shape = np.ptp(chart.latitude_deg) / (np.ptp(chart.longitude_deg) * max(float(np.cos(middle)), 0.15))
+    axes.set_box_aspect(float(np.clip(shape, 0.5, 1.5)))
+    axes.set_xlabel("longitude, °")
+    axes.set_ylabel("latitude, °")
+
+
+def _levels(largest: float) -> Any:
+    """Round limits from minus to plus the largest error."""
+    step = largest / 5.0
+    power = 10.0 ** np.floor(np.log10(step))
+    step = next(m for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= step) * power
+    return step * np.arange(-5, 6)
+
+
+def _colormap() -> Colormap:
+    return mpl.colormaps[_COLOURS]
