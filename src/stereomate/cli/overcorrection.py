@@ -1,4 +1,4 @@
-"""`stereomate overcorrection`: the factor of a cross-section, its drawing, and tables of factors."""
+"""`stereomate overcorrection`: the factor of a section, its drawing, tables, and sections of a project."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ import typer
 from stereomate.cli.output import print_json
 
 if TYPE_CHECKING:
+    from stereomate.project.orientation_sections import PairGeometry
     from stereomate.relative.drawing import SectionDrawing
-    from stereomate.relative.sections import SectionStrength
+    from stereomate.relative.sections import OrientationSection, SectionStrength
     from stereomate.relative.tables import OverCorrectionTable
 
 
@@ -21,6 +22,7 @@ def register(app: typer.Typer) -> None:
     group = typer.Typer(rich_markup_mode=None)
     group.callback(invoke_without_command=True)(_overcorrection)
     group.command("table")(_table)
+    group.command("section")(_project_section)
     app.add_typer(group, name="overcorrection")
 
 
@@ -109,6 +111,107 @@ def _table(
         typer.echo(texts[0] + "".join(text.split("\n", 1)[1] for text in texts[1:]), nl=False)
     else:
         typer.echo("\n\n".join(f"{title}\n{table.to_text(decimals)}" for title, table in tables))
+
+
+def _project_section(
+    project: Annotated[Path, typer.Argument(help="The project file.")],
+    pair: Annotated[
+        tuple[str, str] | None, typer.Option("--pair", metavar="LEFT RIGHT", help="One pair only.")
+    ] = None,
+    profiles: Annotated[
+        int, typer.Option("--profiles", min=2, max=101, help="Cross-sections of each pair.")
+    ] = 9,
+    min_overlap: Annotated[
+        float, typer.Option("--min-overlap", help="Least overlap of a pair, of the smaller footprint.")
+    ] = 0.2,
+    least_contrast: Annotated[
+        float,
+        typer.Option("--least-contrast", help="Least grey value contrast at a point; 0: no images read."),
+    ] = 3.0,
+    map_file: Annotated[Path | None, typer.Option("--map", help="Write a map: .svg, .pdf or .png.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Over-correction factors of every pair of a project, from cross-sections of its height model.
+
+    Orientation points are von Gruber's where they are on land with texture, and others where they are not.
+    Pairs near the critical circle are marked.
+    """
+    from stereomate.project import load
+    from stereomate.project.orientation_sections import ProjectSectionOptions, project_sections
+
+    options = ProjectSectionOptions(profiles=profiles, min_overlap=min_overlap, least_contrast=least_contrast)
+    loaded = load(project)
+    geometries = project_sections(loaded, options, pair)
+    if map_file is not None:
+        from stereomate.report.overcorrection_map import strength_map
+        from stereomate.report.overcorrection_style import save_figure
+
+        save_figure(strength_map(geometries, loaded.name), map_file)
+    if json:
+        print_json([_geometry_dict(geometry) for geometry in geometries])
+    else:
+        for geometry in geometries:
+            typer.echo(_geometry_text(geometry))
+        weak = [geometry for geometry in geometries if geometry.verdict != "good"]
+        typer.echo(f"{len(geometries)} pairs, {len(weak)} of them weak or near critical")
+
+
+def _geometry_text(geometry: PairGeometry) -> str:
+    sections = geometry.sections
+    head = f"{geometry.names[0]} - {geometry.names[1]}: {geometry.verdict}; base {geometry.base_m:.1f} m, "
+    head += f"height {geometry.height_m:.1f} m, n on flat ground {sections.flat_factor:.2f}, "
+    lines = [head + f"strength {sections.strength:.2f}"]
+    for section in sections.sections:
+        lines.append(f"  at {section.place:6.3f} of the base  {_section_text(section)}")
+    if sections.missing:
+        places = ", ".join(f"{place:.3f}" for place in sections.missing)
+        lines.append(f"  no three usable points at {places}")
+    if geometry.from_previous is not None:
+        lines.append(f"  from the model with {geometry.previous}  {_section_text(geometry.from_previous)}")
+    return "\n".join(lines)
+
+
+def _section_text(section: OrientationSection) -> str:
+    strength = section.strength
+    n = "±∞" if math.isinf(strength.factor) else f"{strength.factor:.2f}"
+    marks: list[str] = [section.choice]
+    marks += ["NEAR CRITICAL"] if section.near_critical else []
+    marks += ["WEAK"] if section.weak else []
+    points = "  ".join(f"({y:.0f}, {z:.0f})" for y, z in strength.section.tolist())
+    return f"n {n:>7}  dn/dh {strength.change:.4f}/m  σω x{section.ratio:.2f}  {points}  {', '.join(marks)}"
+
+
+def _geometry_dict(geometry: PairGeometry) -> dict[str, Any]:
+    sections = geometry.sections
+    return {
+        "pair": geometry.names,
+        "verdict": geometry.verdict,
+        "base_m": geometry.base_m,
+        "height_m": geometry.height_m,
+        "nominal_tangent": geometry.nominal,
+        "flat_factor": sections.flat_factor,
+        "strength": sections.strength,
+        "sections": [
+            {**_section_dict(section), "points_map": points}
+            for section, points in zip(sections.sections, geometry.points_map, strict=True)
+        ],
+        "missing": sections.missing,
+        "previous": geometry.previous,
+        "from_previous": None if geometry.from_previous is None else _section_dict(geometry.from_previous),
+    }
+
+
+def _section_dict(section: OrientationSection) -> dict[str, Any]:
+    return {
+        "place": section.place,
+        "choice": section.choice,
+        "n": section.strength.factor,
+        "section": section.strength.section,
+        "n_std_per_metre_of_height": section.strength.change,
+        "omega_std_ratio": section.ratio,
+        "near_critical": section.near_critical,
+        "weak": section.weak,
+    }
 
 
 def _tables(

@@ -2,7 +2,8 @@
 
 The points are von Gruber's where the ground allows: below the base, and at equal distances on both sides.
 Where one of them is on water, in a void or outside the photographs, the nearest usable place is taken, and if
-a whole side is unusable, the three usable places that determine the tilt best.
+a whole side is unusable or the result would be near critical, the three usable places that determine the
+tilt best.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,6 +30,9 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 Choice = Literal["standard", "moved", "free"]
 
+# Strength is compared with flat ground under a normal-angle camera, points at y/z = 1/3 (Kasper's Table I):
+# the weakest geometry that practice called regular.
+_REFERENCE_SECTION: Final = ((0.0, 1.0), (-1.0 / 3.0, 1.0), (1.0 / 3.0, 1.0))
 # Usable places among which a free choice is made; all triples of them are compared.
 _CANDIDATES = 41
 
@@ -120,7 +124,7 @@ class SectionOptions:
     limit_factor : float
         |n| above which the section is near the critical circle.
     limit_ratio : float
-        Standard deviation of ω against that of flat ground with standard points, above which it is weak.
+        `OrientationSection.ratio` above which a section is weak.
     """
 
     tolerance: float = 0.05
@@ -151,7 +155,8 @@ class OrientationSection:
         Of points 1, 3 and 5 in the profile.
     strength : SectionStrength
     ratio : float
-        Standard deviation of ω over that of flat ground with standard points.
+        Standard deviation of ω, for parallaxes measured in the image, over that of flat ground under a
+        normal-angle camera (y/z = 1/3).
     near_critical, weak : bool
         |n| above the limit; ratio above the limit.
     """
@@ -205,24 +210,30 @@ def orientation_section(
     if not (math.isfinite(nominal) and nominal > 0.0):
         raise InputError("must be positive and finite", field="nominal", value=nominal)
     good = good & np.isfinite(profile).all(axis=1) & (profile[:, 1] > 0.0)
-    found = _standard_points(profile, good, nominal, chosen)
-    if found is None:
-        found = _strongest_points(profile, good, nominal)
-    if found is None:
-        return None
-    indices, choice = found
+    regular = _standard_points(profile, good, nominal, chosen)
+    found = None if regular is None else _section(profile, regular, place, chosen)
+    if found is None or found.near_critical or found.weak:
+        free = _strongest_points(profile, good, nominal)
+        other = None if free is None else _section(profile, free, place, chosen)
+        if found is None or (other is not None and other.ratio < 0.5 * found.ratio):
+            found = other
+    return found
+
+
+def _section(
+    profile: FloatArray, choice: tuple[tuple[int, int, int], Choice], place: float, options: SectionOptions
+) -> OrientationSection:
+    indices, kind = choice
     strength = section_strength(profile[list(indices)])
-    # Flat ground at the same nominal angle, parallax angles of one size at all three points.
-    flat = np.array([[0.0, 1.0], [-nominal, 1.0], [nominal, 1.0]])
-    ratio = strength.tilt_std_per_angle / tilt_standard_deviation(flat)
+    ratio = strength.tilt_std_per_angle / reference_std()
     return OrientationSection(
         place=float(place),
-        choice=choice,
+        choice=kind,
         indices=indices,
         strength=strength,
         ratio=float(ratio),
-        near_critical=not abs(strength.factor) <= chosen.limit_factor,
-        weak=not ratio <= chosen.limit_ratio,
+        near_critical=not abs(strength.factor) <= options.limit_factor,
+        weak=not ratio <= options.limit_ratio,
     )
 
 
@@ -260,17 +271,20 @@ class PairSections:
 
     @property
     def strength(self) -> float:
-        """Standard deviation of ω on flat ground with one standard section over that of all sections.
+        """Standard deviation of ω of the reference section over that of all sections together.
 
-        1 is a single standard section over flat ground, more is better, 0 is critical.
+        The reference is that of `OrientationSection.ratio`. More is better, 0 is critical.
         """
-        tangent = math.sqrt(1.0 / (2.0 * self.flat_factor - 1.0))
-        flat = tilt_standard_deviation([[0.0, 1.0], [-tangent, 1.0], [tangent, 1.0]])
-        return float(flat / self.tilt_std_per_angle)
+        return reference_std() / self.tilt_std_per_angle
 
     def under(self, place: float) -> OrientationSection | None:
         """The section at a place along the base: 0 under the first, 1 under the second centre."""
         return next((section for section in self.sections if abs(section.place - place) < 1e-6), None)
+
+
+def reference_std() -> float:
+    """Standard deviation of ω per radian of parallax angle on flat ground, points at y/z = 1/3: 11.02."""
+    return float(tilt_standard_deviation(_REFERENCE_SECTION))
 
 
 def pair_sections(
