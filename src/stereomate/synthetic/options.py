@@ -87,7 +87,7 @@ class SurveyOptions:
     check_points: int = 12
     noise_dn: float = 1.5
     exposure_sigma: float = 0.02
-    samples: int = 3
+    samples: int = 2
 
     def __post_init__(self) -> None:
         for name in ("strips", "photos_per_strip", "samples"):

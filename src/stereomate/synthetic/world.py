@@ -383,8 +383,8 @@ def _texture(
     first, items = cell_lists(boxes, objects.cell, (objects.near.shape[0], objects.near.shape[1]))
     return Texture(
         gsd=options.gsd_m,
-        fine=coloured_noise(rng, (1024, 1024), 0.8, 0.0125, 0.15).astype(np.float32),
-        coarse=coloured_noise(rng, (512, 512), 1.3, 0.01, 0.2).astype(np.float32),
+        fine=coloured_noise(rng, (512, 512), 0.8, 0.0125, 0.15).astype(np.float32),
+        coarse=coloured_noise(rng, (256, 256), 1.3, 0.01, 0.2).astype(np.float32),
         shade=hill_shade(terrain.heights, terrain.step, sun, AMBIENT),
         parcel=mesh,
         parcel_seed=seeds,
