@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stereomate.camera.model import Camera
 from stereomate.raster import Window
 from stereomate.rectify.ground import Ground, height_patch
 from stereomate.rectify.job import RectifyJob
@@ -70,7 +72,7 @@ def _node_image(job: RectifyJob, nodes: Floats, p: int, height: float) -> tuple[
 
 def _may_show(job: RectifyJob, ground: Ground, nodes: Floats, p: int) -> bool:
     """Whether the bounding box of the window's image meets the cone of the photograph's own corners."""
-    limit = field_of_view(job, p)
+    limit = field_of_view(job.photographs[p].camera)
     low = high = None
     for height in ground.height_range:
         point, depth = _node_image(job, nodes, p, height)
@@ -88,9 +90,9 @@ def _may_show(job: RectifyJob, ground: Ground, nodes: Floats, p: int) -> bool:
     return bool((low <= limit[1]).all() and (high >= limit[0]).all())
 
 
-def field_of_view(job: RectifyJob, p: int) -> tuple[Floats, Floats]:
+@functools.lru_cache(maxsize=256)
+def field_of_view(camera: Camera) -> tuple[Floats, Floats]:
     """Least and greatest (x/-z, y/-z) over the border of a photograph, with a margin of 2 %."""
-    camera = job.photographs[p].camera
     cols, rows = camera.size_px
     t = np.linspace(0.0, 1.0, 17)
     border = np.concatenate(
@@ -115,10 +117,16 @@ def field_of_view(job: RectifyJob, p: int) -> tuple[Floats, Floats]:
 def serve_pixels(
     job: RectifyJob, ground: Ground, pixels: Pixels, models: list[StereoModel], nodes: Floats
 ) -> Serving:
-    """Choose the model of every pixel's ground; one model for all where nothing is to be decided."""
+    """Choose the model of every pixel's ground; one model for all where nothing is to be decided.
+
+    A model of `models` that cannot win anywhere in the window is left aside first.
+    """
     hidden = _can_be_hidden(job, ground, nodes)
-    if len(models) == 1 and not hidden.any() and _all_inside(job, ground, nodes, models[0]):
-        return Serving(0, BOTH_SEE)
+    scores = _scores(job, models, nodes)
+    if not hidden.any():
+        alone = _uncontested(job, ground, nodes, models, scores)
+        if alone is not None:
+            return Serving(alone, BOTH_SEE)
     if hidden.any():
         ground = _with_way_to_centres(job, ground, nodes)
     window = pixels.window
@@ -132,7 +140,7 @@ def serve_pixels(
         ground.lattice.row0,
         ground.lattice.step,
         float(window.row0),
-        _scores(ground, models, nodes),
+        scores,
         np.array([m.left for m in models]),
         np.array([m.right for m in models]),
         nodes,
@@ -152,14 +160,32 @@ def serve_pixels(
     return Serving(model, sees)
 
 
-def _scores(ground: Ground, models: list[StereoModel], nodes: Floats) -> Floats:
-    """Per node and model: tangent of the steeper of the two rays' nadir angles, plus the base's penalty."""
-    middle = 0.5 * (ground.height_range[0] + ground.height_range[1])
-    tangent = _nadir_tangents(nodes, middle)
+def _scores(job: RectifyJob, models: list[StereoModel], nodes: Floats) -> Floats:
+    """Per node and model: tangent of the steeper of the two rays' nadir angles, plus the base's penalty.
+
+    At one height for the whole product, so that it is a function of the ground position alone: orthophoto and
+    stereomate, whatever their windows, choose alike.
+    """
+    tangent = _nadir_tangents(nodes, 0.5 * (job.height_range[0] + job.height_range[1]))
     return np.stack(
         [np.maximum(tangent[m.left], tangent[m.right] if m.right >= 0 else 0.0) + m.penalty for m in models],
         axis=-1,
     )
+
+
+def _uncontested(
+    job: RectifyJob, ground: Ground, nodes: Floats, models: list[StereoModel], scores: Floats
+) -> int | None:
+    """The model that serves every pixel of the window, if one does (scores between nodes are bilinear).
+
+    A single photograph that has no rival need not show all of the window: what it does not show, nobody does.
+    """
+    winner = int(np.argmin(scores[0, 0]))
+    if (scores < scores[..., winner, None]).any():
+        return None
+    if len(models) == 1 and models[0].right < 0:
+        return winner
+    return winner if _all_inside(job, ground, nodes, models[winner]) else None
 
 
 def _nadir_tangents(nodes: Floats, height: float) -> Floats:
