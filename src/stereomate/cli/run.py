@@ -32,6 +32,9 @@ def _run(
     ] = None,
     strict: Annotated[bool, typer.Option("--strict", help="One bad photograph stops the run.")] = False,
     fresh: Annotated[bool, typer.Option("--fresh", help="Forget what an earlier run left.")] = False,
+    no_agreement: Annotated[
+        bool, typer.Option("--no-agreement", help="Do not measure how well left and right agree.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was made as JSON.")] = False,
 ) -> None:
     """Make orthophoto and stereomate of a project. A run that was killed goes on where it stopped."""
@@ -47,6 +50,7 @@ def _run(
         scheduler=scheduler,
         pairs=None if pair is None else (pair,),
         stereo=not ortho_only,
+        agreement=not no_agreement,
         fresh=fresh,
     )
     with log_to_file(out / "run.log"), progress_of(settings, as_json) as progress:
