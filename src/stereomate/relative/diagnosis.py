@@ -145,12 +145,11 @@ def diagnose(
 
     model = model_points(pose, chosen)
     depth = float(np.mean(np.abs(model[:, 2]))) or 1.0
-    flatness, plane_limit = _flatness(model, depth, variances)
+    flatness = _flatness(model, depth)
+    planar = _on_a_plane(chosen, variances, options)
     alternatives = _alternatives(chosen, pose, variances, options, seed)
     if alternatives and not no_parallax:
-        kind = (
-            "the points lie on one plane" if flatness < plane_limit else "critical arrangement of the points"
-        )
+        kind = "the points lie on one plane" if planar else "critical arrangement of the points"
         reasons.append(f"{kind}: another orientation fits them as well")
     omega, inflation = _strength_of_omega(adjustment)
     return GeometryDiagnosis(
@@ -160,7 +159,7 @@ def diagnose(
         inflation,
         critical_cylinder(model),
         flatness,
-        bool(flatness < plane_limit),
+        planar,
         ratio,
         alternatives,
     )
@@ -249,13 +248,34 @@ def _pure_rotation(
     return math.sqrt(total / freedom), total < float(chi2.isf(options.significance, freedom))
 
 
-def _flatness(model: Array, depth: float, variances: tuple[float, float]) -> tuple[float, float]:
-    """Distance of the points from their plane over the mean depth, and what noise alone would make of it."""
+def _flatness(model: Array, depth: float) -> float:
+    """Root mean square distance of the points from their plane over the mean depth."""
     centred = model - model.mean(axis=0)
     scatter = np.linalg.svd(centred, compute_uv=False) / math.sqrt(len(model))
-    # Depth from parallax: dz = z²/b dp.
-    noise = depth * math.sqrt(variances[0] + variances[1])
-    return float(scatter[-1]) / depth, 3.0 * noise
+    return float(scatter[-1]) / depth
+
+
+def _on_a_plane(c: Correspondences, variances: tuple[float, float], options: DiagnosisOptions) -> bool:
+    """A homography explains the points within their noise: they lie on one plane (or there is no base)."""
+    if len(c) < 6:
+        return True
+    x, y = c.right[:, 0], c.right[:, 1]
+    u, v = c.left[:, 0], c.left[:, 1]
+    one, zero = np.ones(len(c)), np.zeros(len(c))
+    h, w = np.eye(3), one
+    for _ in range(3):
+        # Divided by the denominator of the step before, the equations are those of the image coordinates.
+        by_u = np.column_stack([x, y, one, zero, zero, zero, -u * x, -u * y, -u]) / w[:, None]
+        by_v = np.column_stack([zero, zero, zero, x, y, one, -v * x, -v * y, -v]) / w[:, None]
+        h = np.linalg.eigh(by_u.T @ by_u + by_v.T @ by_v)[1][:, 0].reshape(3, 3)
+        w = h[2, 0] * x + h[2, 1] * y + h[2, 2]
+        w = np.where(np.abs(w) > 1e-9, w, 1e-9)
+    p = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / w
+    q = (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / w
+    magnification = np.abs(np.linalg.det(h) / w**3)
+    variance = variances[0] + variances[1] * magnification
+    total = float(np.sum(((u - p) ** 2 + (v - q) ** 2) / variance))
+    return total < float(chi2.isf(options.significance, max(2 * len(c) - 8, 1)))
 
 
 def _alternatives(

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from stereomate.errors import InputError
+from stereomate.relative.kernels.coplanarity import adjust
 from stereomate.relative.kernels.five_point import MAX_SOLUTIONS
 from stereomate.relative.kernels.five_point import five_point as five_point_kernel
 from stereomate.relative.kernels.pose import choose_arrangement, pose_from_essential
@@ -53,5 +54,28 @@ def five_point(left: ArrayLike, right: ArrayLike, in_front: int = 5) -> tuple[Re
             rays[0][:, :2].copy(), rays[1][:, :2].copy(), everything, base, first, second, rotation
         )
         if front >= in_front:
+            _polish(rays, base, rotation)
             poses.append(RelativePose(base, rotation))
     return tuple(poses)
+
+
+def _polish(
+    rays: list[NDArray[np.float64]], base: NDArray[np.float64], rotation: NDArray[np.float64]
+) -> None:
+    """Newton steps on the five conditions themselves, in place: ill-placed points lose digits before."""
+    equal = np.array([[1e-6, 0.0, 1e-6]])
+    start = base.copy(), rotation.copy()
+    _, _, state = adjust(
+        rays[0][:, :2].copy(),
+        rays[1][:, :2].copy(),
+        equal,
+        equal,
+        np.ones(5),
+        base,
+        rotation,
+        np.zeros((5, 4)),
+        np.empty((5, 5)),
+        10,
+    )
+    if state != 0:
+        base[:], rotation[:] = start

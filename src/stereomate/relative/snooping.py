@@ -64,6 +64,8 @@ def snoop(
 ) -> tuple[CoplanarityAdjustment, tuple[Rejection, ...]]:
     """Take out the point with the largest test value and adjust again, until none exceeds the critical value.
 
+    At the end the rejected points are tested once more, and those that fit come back.
+
     Returns
     -------
     adjustment : CoplanarityAdjustment
@@ -83,22 +85,33 @@ def snoop(
         parallax = float(adjustment.points().y_parallax[worst])
         rejected.append(Rejection(worst, float(values[worst]), parallax))
         used[worst] = False
-        adjustment = adjust_coplanarity(
-            adjustment.correspondences, adjustment.pose, adjustment.options, used.copy()
-        )
+        adjustment = _again(adjustment, used)
+    # A point thrown out while another still pulled the result may fit after all.
+    for rejection in tuple(rejected):
+        values, critical = _test_values(adjustment, options)
+        if abs(values[rejection.point]) <= critical:
+            used[rejection.point] = True
+            rejected.remove(rejection)
+            adjustment = _again(adjustment, used)
     return adjustment, tuple(rejected)
+
+
+def _again(adjustment: CoplanarityAdjustment, used: NDArray[np.bool_]) -> CoplanarityAdjustment:
+    return adjust_coplanarity(adjustment.correspondences, adjustment.pose, adjustment.options, used.copy())
 
 
 def _test_values(
     adjustment: CoplanarityAdjustment, options: SnoopingOptions
 ) -> tuple[NDArray[np.float64], float]:
-    w = adjustment.points().standardized
+    statistics = adjustment.points()
+    w = statistics.standardized
     if options.variance == "prior":
         return w, adjustment.options.critical
     # Externally studentized: the variance without the tested point.
     redundancy = adjustment.redundancy
     total = adjustment.sigma0**2 * redundancy
-    without = np.maximum(total - w**2, 1e-12 * total) / max(redundancy - 1, 1)
+    own = np.where(statistics.used, w**2, total / redundancy)
+    without = np.maximum(total - own, 1e-12 * total) / max(redundancy - 1, 1)
     critical = float(student.isf(adjustment.options.alpha / 2.0, max(redundancy - 1, 1)))
     values: NDArray[np.float64] = w / np.sqrt(without) if total > 0.0 else np.zeros_like(w)
     return values, critical if math.isfinite(critical) else math.inf

@@ -10,11 +10,11 @@ from stereomate.relative.kernels.coplanarity import adjust
 from stereomate.relative.kernels.five_point import MAX_SOLUTIONS, five_point
 from stereomate.relative.kernels.pose import (
     choose_arrangement,
-    count_in_front,
     essential_from_pose,
     pose_from_essential,
+    share_behind,
 )
-from stereomate.relative.kernels.robust import draw_five, square_distance
+from stereomate.relative.kernels.robust import MOST_BEHIND, draw_five, square_distance
 
 Array = NDArray[np.float64]
 Words = NDArray[np.uint64]
@@ -51,7 +51,7 @@ def other_minimum(
     """Best minimum of the square sum, other than `base` and `rotation`, with the points before the cameras.
 
     Starts from the solutions of random five-point problems. Returns (square sum in variances, share of the
-    points in front); (inf, 0) if every start leads to the known minimum.
+    points not behind); (inf, 0) if every start leads to the known minimum.
     """
     m = left.shape[0]
     five = np.empty(5, np.int64)
@@ -102,10 +102,14 @@ def other_minimum(
         )
         if not total < best or pose_distance(bases[k], rotations[k], base, rotation) < _SAME:
             continue
-        front, _behind = count_in_front(left, right, use, bases[k], rotations[k])
-        if front < 0.75 * m:
+        # An arrangement with the points behind the cameras is no orientation.
+        essential_from_pose(bases[k], rotations[k], e)
+        pose_from_essential(e, b, first, second)
+        choose_arrangement(left, right, use, b, first, second, rot)
+        behind = share_behind(left, right, use, b, rot, vl + vr)
+        if behind > MOST_BEHIND or pose_distance(b, rot, base, rotation) < _SAME:
             continue
-        best, share = total, front / m
-        found_base[:] = bases[k]
-        found_rotation[:] = rotations[k]
+        best, share = total, 1.0 - behind
+        found_base[:] = b
+        found_rotation[:] = rot
     return best, share

@@ -27,6 +27,23 @@ def essential_from_pose(base: Array, rotation: Array, essential: Array) -> None:
 
 
 @kernel
+def orthonormalise(rotation: Array) -> None:
+    """Gram-Schmidt on the columns, in place: rounding must not grow over many steps."""
+    n0 = np.sqrt(rotation[0, 0] ** 2 + rotation[1, 0] ** 2 + rotation[2, 0] ** 2)
+    for i in range(3):
+        rotation[i, 0] /= n0
+    dot = rotation[0, 0] * rotation[0, 1] + rotation[1, 0] * rotation[1, 1] + rotation[2, 0] * rotation[2, 1]
+    for i in range(3):
+        rotation[i, 1] -= dot * rotation[i, 0]
+    n1 = np.sqrt(rotation[0, 1] ** 2 + rotation[1, 1] ** 2 + rotation[2, 1] ** 2)
+    for i in range(3):
+        rotation[i, 1] /= n1
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        rotation[i, 2] = rotation[j, 0] * rotation[k, 1] - rotation[k, 0] * rotation[j, 1]
+
+
+@kernel
 def pose_from_essential(essential: Array, base: Array, first: Array, second: Array) -> bool:
     """Base and the two rotations of an essential matrix (B. Horn 1990: cofactors minus and plus ``[b]x E``).
 
@@ -60,6 +77,9 @@ def pose_from_essential(essential: Array, base: Array, first: Array, second: Arr
             cross = scale * (base[j] * e[k, c] - base[k] * e[j, c])
             first[i, c] = cofactor - cross
             second[i, c] = cofactor + cross
+    # A matrix that is essential only to some digits gives rotations to some digits.
+    orthonormalise(first)
+    orthonormalise(second)
     return True
 
 
@@ -79,19 +99,7 @@ def turn(rotation: Array, x: float, y: float, z: float) -> None:
         rotation[0, c] = u + a * cu + b * (x * dot - angle2 * u)
         rotation[1, c] = v + a * cv + b * (y * dot - angle2 * v)
         rotation[2, c] = w + a * cw + b * (z * dot - angle2 * w)
-    # Gram-Schmidt on the columns: rounding must not grow over many steps.
-    n0 = np.sqrt(rotation[0, 0] ** 2 + rotation[1, 0] ** 2 + rotation[2, 0] ** 2)
-    for i in range(3):
-        rotation[i, 0] /= n0
-    dot = rotation[0, 0] * rotation[0, 1] + rotation[1, 0] * rotation[1, 1] + rotation[2, 0] * rotation[2, 1]
-    for i in range(3):
-        rotation[i, 1] -= dot * rotation[i, 0]
-    n1 = np.sqrt(rotation[0, 1] ** 2 + rotation[1, 1] ** 2 + rotation[2, 1] ** 2)
-    for i in range(3):
-        rotation[i, 1] /= n1
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        rotation[i, 2] = rotation[j, 0] * rotation[k, 1] - rotation[k, 0] * rotation[j, 1]
+    orthonormalise(rotation)
 
 
 @kernel
@@ -156,6 +164,32 @@ def count_in_front(left: Array, right: Array, use: Mask, base: Array, rotation: 
             elif s < 0.0 and t < 0.0:
                 behind += 1
     return front, behind
+
+
+@kernel
+def share_behind(
+    left: Array, right: Array, use: Mask, base: Array, rotation: Array, variance: float
+) -> float:
+    """Share of the used points that lie behind a camera by more than their noise.
+
+    `variance` is that of the angle between two rays; points too far away to tell do not count as behind.
+    """
+    total, behind = 0, 0
+    for i in range(left.shape[0]):
+        if not use[i]:
+            continue
+        total += 1
+        lx, ly, rx, ry = left[i, 0], left[i, 1], right[i, 0], right[i, 1]
+        s, t = depths(base, rotation, lx, ly, rx, ry)
+        if s > 0.0 and t > 0.0:
+            continue
+        u = rotation[0, 0] * rx + rotation[0, 1] * ry - rotation[0, 2]
+        v = rotation[1, 0] * rx + rotation[1, 1] * ry - rotation[1, 2]
+        w = rotation[2, 0] * rx + rotation[2, 1] * ry - rotation[2, 2]
+        a, c, d = lx * lx + ly * ly + 1.0, u * u + v * v + w * w, lx * u + ly * v - w
+        if a * c - d * d > 16.0 * variance * a * c:
+            behind += 1
+    return behind / max(total, 1)
 
 
 @kernel

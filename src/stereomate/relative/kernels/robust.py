@@ -21,6 +21,7 @@ from stereomate.relative.kernels.pose import (
     essential_from_pose,
     move,
     pose_from_essential,
+    share_behind,
     solve_five,
     tangents,
 )
@@ -34,6 +35,8 @@ _BLOCK = 64
 # Depth bins: inverse distance from -1 to 3 times the typical one in eighths, and two tails.
 BINS = 34
 _BINS_PER_UNIT = 8.0
+# Largest share of good points behind a camera: wrong ones that happen to lie near their epipolar lines.
+MOST_BEHIND = 0.1
 # Odds of a point behind the cameras.
 IMPOSSIBLE = 1e30
 
@@ -256,7 +259,9 @@ def update_mixture(
     if weights < 6.0:
         return
     limit = mix[0]
-    mix[1] = min(max(np.sqrt(squares / weights), 1e-3), widest)
+    mix[1] = max(np.sqrt(squares / weights), 1e-3)
+    # A limit that cuts into the good points would make their scatter look too small.
+    mix[0] = min(max(limit, 3.5 * mix[1]), widest)
     filled = BINS if mix[2] > 0.0 else 1
     bad = 0.0
     for k in range(filled):
@@ -394,7 +399,7 @@ def search(
     five = np.empty(5, np.int64)
     l5, r5 = np.empty((5, 3)), np.empty((5, 3))
     essentials = np.empty((MAX_SOLUTIONS, 9))
-    all_five = np.ones(5, np.bool_)
+    all_five, use = np.ones(5, np.bool_), np.empty(m, np.bool_)
     b, first, second, rot = np.empty(3), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     b_try, rot_try, e_try = np.empty(3), np.empty((3, 3)), np.empty(9)
     mix, odds, cofactor = np.empty(3), np.zeros(BINS), np.empty((5, 5))
@@ -419,6 +424,11 @@ def search(
                 continue
             cost, inliers = score(e, left, right, vl, vr, limit2, best_inliers, best_cost)
             if not cost < best_cost:
+                continue
+            for i in range(m):
+                use[i] = square_distance(e, vl, vr, left[i, 0], left[i, 1], right[i, 0], right[i, 1]) < limit2
+            # The second solution of a plane has some of it behind a camera.
+            if share_behind(left, right, use, b, rot, vl + vr) > MOST_BEHIND:
                 continue
             best_cost, best_inliers = cost, inliers
             base[:] = b
@@ -505,7 +515,12 @@ def robust_pose(
     var_l, var_r = np.array([vl]), np.array([vr])
     e = np.empty(9)
     first, second, rot = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    fine = refine(sub_left, sub_right, var_l, var_r, base, rotation, mix, odds, 2, limit, cofactor)
+    widest = 4.0 * limit
+    fine = refine(sub_left, sub_right, var_l, var_r, base, rotation, mix, odds, 2, widest, cofactor)
+    while fine and mix[0] > limit * 1.02 and mix[0] < widest:
+        # The noise is larger than stated: widen until the limit has found its place.
+        limit = mix[0]
+        fine = refine(sub_left, sub_right, var_l, var_r, base, rotation, mix, odds, 1, widest, cofactor)
     if not fine:
         base[:] = kept_base
         rotation[:] = kept_rotation
@@ -520,10 +535,10 @@ def robust_pose(
     odds[:] = odds[0]
     if mix[2] > 0.0:
         odds[0] = IMPOSSIBLE
-    fine = refine(sub_left, sub_right, var_l, var_r, base, rotation, mix, odds, 3, limit, cofactor)
+    fine = refine(sub_left, sub_right, var_l, var_r, base, rotation, mix, odds, 3, widest, cofactor)
     last = int(numbers[5])
     if fine and n > m:
-        fine = refine(left, right, var_left, var_right, base, rotation, mix, odds, last, limit, cofactor)
+        fine = refine(left, right, var_left, var_right, base, rotation, mix, odds, last, widest, cofactor)
     if not fine:
         base[:] = kept_base
         rotation[:] = kept_rotation
