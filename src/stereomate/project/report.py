@@ -116,7 +116,8 @@ def _layout(result: RunResult) -> Section:
 
 def _product(out: Path, made: ProductResult) -> Section:
     job, files = made.product.job, made.product.files
-    pictures = product_pictures(out, files.ortho, files.mate)
+    middle = float(job.law.q(0.5 * sum(job.height_range))) / job.grid.gsd
+    pictures = product_pictures(out, files.ortho, files.mate, middle)
     shown = [Picture(jpeg_uri(pictures["ortho"]), f"{files.ortho}: for the left eye.", "Orthophoto")]
     paragraphs = [_grid_text(job)]
     tables = []
@@ -125,7 +126,7 @@ def _product(out: Path, made: ProductResult) -> Section:
         shown.append(
             Picture(
                 jpeg_uri(pictures["anaglyph"]),
-                "Anaglyph of the whole product: red glass before the left eye, cyan before the right.",
+                "Anaglyph of the whole product, middle heights at the screen: red glass left, cyan right.",
                 "Anaglyph of the product",
                 wide=True,
             )

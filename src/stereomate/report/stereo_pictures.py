@@ -78,8 +78,10 @@ def product_pictures(folder: Path, ortho: str, mate: str | None, longest_px: int
     if mate is not None:
         right, right_valid, _ = read_thumbnail(folder / mate, longest_px)
         pictures["mate"] = as_rgb(right, right_valid, limits)
-        both = left_valid & right_valid
-        pictures["anaglyph"] = grey_anaglyph(pictures["ortho"], pictures["mate"], both)
+        shift = round(parallax_px / step)
+        moved = np.roll(pictures["mate"], shift, axis=1)
+        both = left_valid & np.roll(right_valid, shift, axis=1)
+        pictures["anaglyph"] = grey_anaglyph(pictures["ortho"], moved, both)
     return pictures
 
 
