@@ -70,9 +70,14 @@ def grey_anaglyph(left: Pixels, right: Pixels, both: NDArray[np.bool_]) -> Pixel
     return out
 
 
-def product_pictures(folder: Path, ortho: str, mate: str | None, longest_px: int = 1000) -> dict[str, Pixels]:
-    """Thumbnails of orthophoto and stereomate, and the anaglyph of the whole."""
-    left, left_valid, _ = read_thumbnail(folder / ortho, longest_px)
+def product_pictures(
+    folder: Path, ortho: str, mate: str | None, parallax_px: float, longest_px: int = 1000
+) -> dict[str, Pixels]:
+    """Thumbnails of orthophoto and stereomate, and the anaglyph of the whole.
+
+    Ground of the artificial parallax `parallax_px` lies in the plane of the screen.
+    """
+    left, left_valid, step = read_thumbnail(folder / ortho, longest_px)
     limits = stretch_limits(left, left_valid)
     pictures = {"ortho": as_rgb(left, left_valid, limits)}
     if mate is not None:
