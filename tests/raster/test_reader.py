@@ -252,10 +252,10 @@ def test_a_file_cut_off_in_the_middle_is_an_error_that_names_it(tmp_path, driver
 def test_limits_come_from_the_environment_and_govern_gdal(monkeypatch):
     before = current()
     monkeypatch.setenv("STEREOMATE_THREADS", "3")
-    monkeypatch.setenv("STEREOMATE_MEMORY", str(256 * 1024**2))
+    monkeypatch.setenv("STEREOMATE_MEMORY", str(384 * 1024**2))
     try:
         configure(Resources.from_environment())
-        assert current() == Resources(256 * 1024**2, 3)
+        assert current() == Resources(384 * 1024**2, 3)
         assert os.environ["PROJ_NETWORK"] == "OFF"
         assert rasterio.env.get_gdal_config("GDAL_CACHEMAX") == 32 * 1024**2
         assert rasterio.env.get_gdal_config("GDAL_NUM_THREADS") == 1

@@ -39,7 +39,6 @@ def _run(
 ) -> None:
     """Make orthophoto and stereomate of a project. A run that was killed goes on where it stopped."""
     from stereomate.project import load
-    from stereomate.project.documents import write_documents
     from stereomate.project.run import RunOptions, run, summary_record
 
     started = time.monotonic()
@@ -56,6 +55,9 @@ def _run(
     with log_to_file(out / "run.log"), progress_of(settings, as_json) as progress:
         result = run(loaded, out, options, progress)
         if not result.up_to_date:
+            # The figures' libraries take memory that the tiles need first.
+            from stereomate.project.documents import write_documents
+
             write_documents(result, started)
     if as_json:
         print_json(summary_record(result))

@@ -50,11 +50,11 @@ class Resources:
 
     @property
     def block_cache_bytes(self) -> int:
-        """GDAL's block cache: an eighth of the memory, 16 to 64 MiB.
+        """GDAL's block cache: a twelfth of the memory, 16 to 64 MiB.
 
         Source windows of neighbouring chunks overlap by little, a larger cache only takes memory.
         """
-        return min(max(self.memory_bytes // 8, 16 * _MEBIBYTE), 64 * _MEBIBYTE)
+        return min(max(self.memory_bytes // 12, 16 * _MEBIBYTE), 64 * _MEBIBYTE)
 
     @property
     def decoded_cache_bytes(self) -> int:

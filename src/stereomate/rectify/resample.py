@@ -22,6 +22,9 @@ _FLAGS: dict[str, int] = {
 # Pixels on each side of a position that carry weight.
 _REACH: dict[str, int] = {"nearest": 1, "bilinear": 1, "cubic": 2, "lanczos": 4}
 
+# Rows that are resampled at once where a window is not full.
+_BAND_PX = 128
+
 
 def resample(
     reader: PhotoReader,
@@ -62,9 +65,24 @@ def resample(
     if reduction > 1:
         source, usable, window = _reduced(source, usable, window, reduction)
     move(*positions, float(shift[0] - window.col0), float(shift[1] - window.row0))
-    _remap(source, positions, _FLAGS[method], out)
+    for part in filled_parts(valid):
+        _remap(source, (positions[0][part], positions[1][part]), _FLAGS[method], out[part])
     if usable is not None:
         _clear_masked(usable, positions, method, valid)
+
+
+def filled_parts(valid: NDArray[np.uint8]) -> list[tuple[slice, slice]]:
+    """The parts of a window worth resampling: all of it, or bands of rows cut to their valid columns."""
+    rows, cols = valid.shape
+    if valid.all():
+        return [(slice(0, rows), slice(0, cols))]
+    parts = []
+    for row0 in range(0, rows, _BAND_PX):
+        band = slice(row0, min(row0 + _BAND_PX, rows))
+        used = np.flatnonzero(valid[band].any(axis=0))
+        if used.size:
+            parts.append((band, slice(int(used[0]), int(used[-1]) + 1)))
+    return parts
 
 
 def source_mask(reader: PhotoReader, window: Window, source: NDArray[Any]) -> NDArray[np.bool_] | None:
@@ -118,10 +136,10 @@ def _remap(
     if source.size == 0:
         return
     if bands in (1, 3, 4):
-        target = out if out.flags.c_contiguous else np.empty_like(out)
-        cv2.remap(source, *positions, flag, dst=target, borderMode=cv2.BORDER_REPLICATE)
-        if target is not out:
-            out[...] = target
+        # OpenCV writes in place where it can address the part, else into a new array.
+        result = cv2.remap(source, *positions, flag, dst=out, borderMode=cv2.BORDER_REPLICATE)
+        if result is not out:
+            out[...] = result.reshape(out.shape)
         return
     for band in range(bands):
         plane = np.ascontiguousarray(source[:, :, band])

@@ -16,13 +16,11 @@ from stereomate.rectify.job import RectifyJob
 from stereomate.rectify.kernels.serve import BOTH_SEE, serve
 from stereomate.rectify.layout import StereoModel
 from stereomate.rectify.scratch import scratch
-from stereomate.terrain.kernels.rays import block_maxima, steepest_slope
+from stereomate.terrain.kernels.rays import sight_bounds, steepest_slope
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 
-# Blocks of height-model cells that a ray skips at once.
-RAY_BLOCK = 16
 # Ground counts as hidden only where the surface rises this far above its ray (metres): the lattice's own
 # accuracy and the rounding of heights stay below it.
 HIDDEN_TOLERANCE_M = 0.02
@@ -121,14 +119,15 @@ def serve_pixels(
 
     A model of `models` that cannot win anywhere in the window is left aside first.
     """
-    hidden = _can_be_hidden(job, ground, nodes)
+    hidden = _can_be_hidden(job, ground, nodes, models)
     scores = _scores(job, models, nodes)
     if not hidden.any():
         alone = _uncontested(job, ground, nodes, models, scores)
         if alone is not None:
             return Serving(alone, BOTH_SEE)
     if hidden.any():
-        ground = _with_way_to_centres(job, ground, nodes)
+        ground = _with_way_to_centres(job, ground, nodes[hidden])
+    centres = _centres_in_patch(job, ground)
     window = pixels.window
     model = scratch("model", (window.rows, window.cols), np.int16)
     sees = scratch("sees", (window.rows, window.cols), np.uint8)
@@ -148,11 +147,10 @@ def serve_pixels(
         np.array([parameters for _, parameters in cameras]),
         ground.surface_nodes,
         ground.patch,
-        block_maxima(ground.patch, RAY_BLOCK),
-        RAY_BLOCK,
+        _bounds(ground.patch, centres[hidden]),
+        np.where(hidden, np.cumsum(hidden) - 1, -1),
         HIDDEN_TOLERANCE_M,
-        _centres_in_patch(job, ground),
-        hidden.astype(np.uint8),
+        centres,
         job.options.hidden == "fill",
         model,
         sees,
@@ -197,15 +195,28 @@ def _nadir_tangents(nodes: Floats, height: float) -> Floats:
     return np.where(rise > 0.0, across / np.where(rise > 0.0, rise, 1.0), 1e6)
 
 
-def _can_be_hidden(job: RectifyJob, ground: Ground, nodes: Floats) -> NDArray[np.bool_]:
-    """Per photograph: whether any slope of the ground is as steep as a ray to it."""
+def _can_be_hidden(
+    job: RectifyJob, ground: Ground, nodes: Floats, models: list[StereoModel]
+) -> NDArray[np.bool_]:
+    """Per photograph: whether it may serve and any slope of the ground is as steep as a ray to it."""
+    serves = np.zeros(len(job.photographs), np.bool_)
     if job.options.hidden == "keep":
-        return np.zeros(len(job.photographs), np.bool_)
+        return serves
+    serves[[p for m in models for p in (m.left, m.right) if p >= 0]] = True
     spacing = job.heights.cell_size_m
     slope = steepest_slope(ground.patch, spacing[0], spacing[1])
     tangents = _nadir_tangents(nodes, ground.height_range[1]).reshape(len(nodes), -1).max(axis=1)
     # The product of slope and tangent reaches 1 where the ray runs along the slope; 5 % for the projection.
-    return np.asarray(slope * tangents > 0.95)
+    return np.asarray(serves & (slope * tangents > 0.95))
+
+
+def _bounds(patch: Floats, centres: Floats) -> Floats:
+    """`sight_bounds` of each centre, (centres, rows - 1, cols - 1)."""
+    rows, cols = patch.shape
+    bounds = np.empty((len(centres), max(rows - 1, 0), max(cols - 1, 0)))
+    for k, (col, row, height) in enumerate(centres):
+        bounds[k] = sight_bounds(patch, float(col), float(row), float(height))
+    return bounds
 
 
 def _with_way_to_centres(job: RectifyJob, ground: Ground, nodes: Floats) -> Ground:

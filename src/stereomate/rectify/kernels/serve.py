@@ -9,7 +9,7 @@ from stereomate.camera.kernels import image_from_camera_point
 from stereomate.jit import inline_kernel, kernel
 from stereomate.rectify.kernels.surface import lattice_row
 from stereomate.rectify.kernels.warp import camera_point
-from stereomate.terrain.kernels.rays import occluded_blockwise
+from stereomate.terrain.kernels.rays import occluded_bounded
 from stereomate.terrain.kernels.sampling import bilinear
 
 Floats = NDArray[np.float64]
@@ -29,34 +29,14 @@ def _in_photograph(lines: Floats, p: int, x: float, h: float, code: int, paramet
 
 @inline_kernel
 def _hidden(
-    patch: Floats,
-    maxima: Floats,
-    block: int,
-    highest: float,
-    tolerance: float,
-    col: float,
-    row: float,
-    h: float,
-    centre: Floats,
+    patch: Floats, bounds: Floats, tolerance: float, col: float, row: float, h: float, centre: Floats
 ) -> bool:
     # Bicubic heights may lie below the bilinear surface that blocks: the way starts on the upper one.
     start = bilinear(patch, col, row)
     if start > h:
         h = start
     # The ray is straight in the height model's grid to d²/2R: 7 mm over 300 m.
-    return occluded_blockwise(
-        patch,
-        maxima,
-        block,
-        col,
-        row,
-        h,
-        centre[0] - col,
-        centre[1] - row,
-        centre[2] - h,
-        highest,
-        tolerance,
-    )
+    return occluded_bounded(patch, bounds, col, row, h, centre[0], centre[1], centre[2], tolerance)
 
 
 @kernel
@@ -75,11 +55,10 @@ def serve(
     camera_parameters: Floats,
     surface_nodes: Floats,
     patch: Floats,
-    maxima: Floats,
-    block: int,
+    bounds: Floats,
+    bounds_of_photo: NDArray[np.int64],
     tolerance: float,
     centres: Floats,
-    check_hidden: NDArray[np.uint8],
     fill: bool,
     out_model: NDArray[np.int16],
     out_sees: NDArray[np.uint8],
@@ -96,14 +75,14 @@ def serve(
     photo_nodes : (photographs, node rows, node cols, 6)
     surface_nodes : (node rows, node cols, 3)
         Position in `patch` and height offset, for the rays.
-    maxima, block
-        Block maxima of the patch, as `terrain.kernels.rays.block_maxima` makes them.
+    bounds : (hiding photographs, patch rows - 1, patch cols - 1)
+        Of the patch and each centre, as `terrain.kernels.rays.sight_bounds` makes them.
+    bounds_of_photo : (photographs,)
+        Index in `bounds`; -1 where ground in this window cannot be hidden from the photograph at all.
     tolerance : float
         How far (metres) the surface may rise above the ray before it hides the ground.
     centres : (photographs, 3)
         Projection centres in patch coordinates: column, row, height in the height model's system.
-    check_hidden : (photographs,)
-        Whether ground in this window can be hidden from the photograph at all.
     out_model : (rows, cols)
         Index of the model, -1 where none can serve.
     out_sees : (rows, cols)
@@ -118,7 +97,6 @@ def serve(
     photo_lines = np.empty((photographs, node_cols, 6))
     score = np.empty(models)
     one_row = columns.shape[0] == 1
-    highest = np.max(maxima)
     for r in range(rows):
         y = (row0 + r + 0.5 - node_row) / step
         lattice_row(score_nodes, y, score_line)
@@ -154,17 +132,11 @@ def serve(
                 ):
                     continue
                 sees = BOTH_SEE
-                if check_hidden[left] and _hidden(
-                    patch, maxima, block, highest, tolerance, dem_col, dem_row, dem_h, centres[left]
-                ):
+                b = bounds_of_photo[left]
+                if b >= 0 and _hidden(patch, bounds[b], tolerance, dem_col, dem_row, dem_h, centres[left]):
                     sees -= LEFT_SEES
-                if (
-                    right >= 0
-                    and check_hidden[right]
-                    and _hidden(
-                        patch, maxima, block, highest, tolerance, dem_col, dem_row, dem_h, centres[right]
-                    )
-                ):
+                b = bounds_of_photo[right] if right >= 0 else -1
+                if b >= 0 and _hidden(patch, bounds[b], tolerance, dem_col, dem_row, dem_h, centres[right]):
                     sees -= RIGHT_SEES
                 if out_model[r, c] < 0 or sees == BOTH_SEE:
                     out_model[r, c] = m
