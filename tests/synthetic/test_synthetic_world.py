@@ -246,3 +246,20 @@ def test_a_block_too_large_for_one_polynomial():
                 trees=0,
             )
         )
+
+
+def test_clear_ground_is_seen_from_every_photograph_that_covers_it(small_survey):
+    """Nothing stands before clear ground; close to objects something does."""
+    world = small_survey.world
+    rng = np.random.default_rng(6)
+    points = world.on_ground(np.array(world.options.centre) + rng.uniform(-150.0, 150.0, (3000, 2)))
+    clear = world.is_clear(points[:, :2])
+    assert 0.1 < clear.mean() < 0.9
+    assert (world.is_open(points[:, :2]) <= clear).all()
+    hidden = 0
+    for number, photograph in enumerate(small_survey.survey.photographs):
+        _, inside = small_survey.project(number, points)
+        seen = world.is_visible(photograph.orientation.centre, points)
+        assert seen[clear & inside].all()
+        hidden += int((~seen & inside).sum())
+    assert hidden > 20

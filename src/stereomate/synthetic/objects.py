@@ -92,7 +92,7 @@ def tree_rows(trees: tuple[Tree, ...], origin: Array) -> Array:
     return np.array(rows, dtype=np.float64).reshape(-1, 6)
 
 
-def _boxes(buildings: Array, trees: Array) -> tuple[Array, Array]:
+def object_boxes(buildings: Array, trees: Array) -> tuple[Array, Array]:
     """Bounding boxes (n, 4: west, south, east, north) and tops of all objects."""
     half_x = np.abs(buildings[:, 4] * buildings[:, 2]) + np.abs(buildings[:, 5] * buildings[:, 3])
     half_y = np.abs(buildings[:, 4] * buildings[:, 3]) + np.abs(buildings[:, 5] * buildings[:, 2])
@@ -132,7 +132,7 @@ def object_arrays(
     cell : float
         Side of the grid's cells.
     """
-    boxes, tops = _boxes(buildings, trees)
+    boxes, tops = object_boxes(buildings, trees)
     rows, cols = heights.shape
     shape = (math.ceil((rows - 1) * step / cell) + 1, math.ceil((cols - 1) * step / cell) + 1)
     first, items = cell_lists(boxes, cell, shape)

@@ -21,7 +21,7 @@ class SurveyOptions:
     seed : int
         Seed of everything random.
     crs : str
-        Projected, conformal map CRS. The default is Lambert-93 in Corsica: convergence 4.4°, scale 1.0024.
+        Projected, conformal map CRS. The default is Lambert-93 in Corsica: convergence 4.5°, scale 1.0018.
     centre : (float, float)
         Centre of the block in the map.
     strips, photos_per_strip : int

@@ -61,8 +61,11 @@ def fractal_terrain(
 
 
 def hill_shade(heights: Array, step_m: float, sun: Array, ambient: float) -> NDArray[np.float32]:
-    """Brightness of each node under the sun (unit vector towards it), 1 on level ground."""
-    south, east = np.gradient(heights, step_m)
+    """Brightness of each node under the sun (unit vector towards it), 1 on level ground.
+
+    Slopes are doubled, as on shaded maps: the relief is to be seen.
+    """
+    south, east = np.gradient(2.0 * heights, step_m)
     normal = np.stack([-east, south, np.ones_like(heights)], axis=-1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     lit = np.maximum(normal @ sun, 0.0) / sun[2]

@@ -187,7 +187,7 @@ def matched_error(survey: SyntheticSurvey, job: RectifyJob, agreement: Agreement
     The heights are read as a person with a stereoscope would: from the parallax through the inverse of the
     law, against the true height of the ground.
     """
-    open_ground = survey.world.is_open(agreement.points)
+    open_ground = survey.world.is_clear(agreement.points)
     points, residuals = agreement.points[open_ground], agreement.residuals[open_ground]
     if len(points) == 0:
         nothing = (float("nan"), float("nan"))

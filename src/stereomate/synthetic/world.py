@@ -21,7 +21,15 @@ from stereomate.synthetic.geodesy import MapPolynomial, fit_map_polynomial
 from stereomate.synthetic.kernels.render import AMBIENT
 from stereomate.synthetic.kernels.scene import FACES, Objects, Scene, TerrainGrid, Texture
 from stereomate.synthetic.kernels.trace import first_hits, heights_of_points
-from stereomate.synthetic.objects import Building, Tree, building_rows, cell_lists, object_arrays, tree_rows
+from stereomate.synthetic.objects import (
+    Building,
+    Tree,
+    building_rows,
+    cell_lists,
+    object_arrays,
+    object_boxes,
+    tree_rows,
+)
 from stereomate.synthetic.options import SurveyOptions
 from stereomate.synthetic.relief import coloured_noise, fractal_terrain, hill_shade
 
@@ -167,6 +175,22 @@ class SyntheticWorld:
         """Whether map positions (..., 2) lie away from objects and the places they may hide or shade."""
         local = np.asarray(xy, dtype=np.float64) - self.polynomial.origin[:2]
         return _is_open(self.scene.objects, local)
+
+    def is_clear(self, xy: ArrayLike, margin_m: float = 4.0) -> NDArray[np.bool_]:
+        """Whether every object stands farther from map positions (..., 2) than its own height and a margin.
+
+        A narrower question than `is_open`: nothing leans into the image of such ground in a photograph whose
+        rays are steeper than 45°, but shadows may fall there.
+        """
+        local = np.asarray(xy, dtype=np.float64) - self.polynomial.origin[:2]
+        boxes, tops = object_boxes(self.scene.objects.buildings, self.scene.objects.trees)
+        feet = self.height(0.5 * (boxes[:, :2] + boxes[:, 2:]) + self.polynomial.origin[:2])
+        clear = np.ones(local.shape[:-1], dtype=np.bool_)
+        for (west, south, east, north), reach in zip(boxes, tops - feet + margin_m, strict=True):
+            beside = np.maximum(np.maximum(west - local[..., 0], local[..., 0] - east), 0.0)
+            beyond = np.maximum(np.maximum(south - local[..., 1], local[..., 1] - north), 0.0)
+            clear &= np.hypot(beside, beyond) > reach
+        return clear
 
     def surface_model(self) -> Array:
         """Highest surface (terrain, roofs, crowns) over each terrain node, seen from straight above."""
