@@ -7,6 +7,7 @@ a point measured in orthophoto and stereomate can be traced back to the two phot
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,14 +15,17 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from stereomate import __version__
-from stereomate.errors import FormatError
+from stereomate.errors import FormatError, InputError
 from stereomate.parallax.laws import ParallaxLaw, law_from_record
 from stereomate.raster.files import write_whole
 from stereomate.rectify.job import RectifyJob
 from stereomate.rectify.options import RectifyOptions
+from stereomate.stereo import measure as measuring
 from stereomate.stereo import record as rec
+from stereomate.stereo.lineage import lineage_of
 
 STEREO_FORMAT: Final = 1
 
@@ -69,6 +73,85 @@ class StereoProduct:
     folder: Path
     height_model_hash: str
     agreement: Mapping[str, Any] | None = None
+
+    @classmethod
+    def open(cls, path: str | Path, name: str | None = None, *, verify: bool = True) -> StereoProduct:
+        """A product of a stereo.json, ready to be measured in.
+
+        Parameters
+        ----------
+        path : path
+            stereo.json, or the folder that holds it.
+        name : str, optional
+            Which product, where there are several; the first one if absent.
+        verify : bool
+            Read the rasters and the height model through and compare their hashes. A raster that is not there
+            is not missed: positions measured elsewhere need only this file and the height model.
+
+        Raises
+        ------
+        FormatError
+            If the file is damaged, has no such product, or a raster was edited or resampled since.
+        InputError
+            If the height model is not the one that the product was made with.
+        """
+        path = Path(path)
+        path = path / "stereo.json" if path.is_dir() else path
+        products = read_products(path)
+        for product in products:
+            if name is None or product.job.name == name:
+                if verify:
+                    product.verify()
+                return product
+        names = ", ".join(repr(product.job.name) for product in products)
+        raise FormatError(f"must be one of {names}", file=path, field="product", value=name)
+
+    def verify(self) -> None:
+        """Check that height model and rasters are those of the product.
+
+        Raises
+        ------
+        FormatError, InputError
+            As `open`.
+        """
+        if self.job.heights.content_hash != self.height_model_hash:
+            raise InputError(
+                "must be the height model that the product was made with: another one falsifies every point",
+                file=self.job.heights.path,
+                field="height_model.sha256",
+                value=self.job.heights.content_hash,
+            )
+        for name, digest in self.files.hashes.items():
+            path = self.folder / name
+            if path.is_file():
+                with path.open("rb") as file:
+                    found = hashlib.file_digest(file, "sha256").hexdigest()
+                if found != digest:
+                    raise FormatError(
+                        "was edited or resampled since it was made: positions on it mean nothing",
+                        file=path,
+                        field="sha256",
+                        value=found,
+                    )
+
+    def measure(
+        self, left_xy: ArrayLike, right_xy: ArrayLike, options: measuring.MeasureOptions | None = None
+    ) -> measuring.Measurement:
+        """Exact points from map positions (n, 2) on the orthophoto and on the stereomate.
+
+        See `stereomate.stereo.measure.measure`.
+        """
+        lineage = lineage_of(self.job, self.folder / self.files.lineage if self.files.lineage else None)
+        return measuring.measure(self.job, lineage, left_xy, right_xy, options)
+
+    def measure_object(
+        self,
+        foot: tuple[ArrayLike, ArrayLike],
+        top: tuple[ArrayLike, ArrayLike],
+        options: measuring.MeasureOptions | None = None,
+    ) -> measuring.ObjectHeights:
+        """Heights of objects, exact and through the law: foot and top as (left_xy, right_xy)."""
+        return measuring.ObjectHeights(self.measure(*foot, options), self.measure(*top, options))
 
 
 def product_record(product: StereoProduct) -> Record:

@@ -1,0 +1,1 @@
+"""Numeric kernels of exact measuring and of the homogeneity raster."""
