@@ -11,13 +11,17 @@ import typer
 from stereomate.cli.output import print_json
 
 if TYPE_CHECKING:
+    from stereomate.frames.audit.findings import Audit
+    from stereomate.frames.audit.ranking import Differences, Hypothesis
     from stereomate.frames.prediction.predict import Prediction
+    from stereomate.project.audit import ProjectAudit
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the application."""
     georef = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help=_HELP)
     georef.command("predict")(_predict)
+    georef.command("audit")(_audit)
     app.add_typer(georef, name="georef")
 
 
@@ -199,4 +203,118 @@ def _prediction_dict(prediction: Prediction) -> dict[str, Any]:
         "equation_3_m": prediction.equation_3_m,
         "equation_4_m": prediction.equation_4_m,
         "words": prediction.words(),
+    }
+
+
+def _audit(
+    project: Annotated[Path, typer.Argument(help="The project file.")],
+    json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+    figure: Annotated[
+        Path | None, typer.Option("--figure", help="Write height differences and scores: .svg, .pdf or .png.")
+    ] = None,
+) -> None:
+    """Tell which frame the orientation of a project was really made in.
+
+    Readings of the attitudes, the heights and the way of adjusting are tried against the tie and control
+    points of [observations] and ranked by their fit. What the project file should say is printed, and how
+    sure that is.
+    """
+    from stereomate.project.audit import audit_project
+
+    found = audit_project(project)
+    if figure is not None:
+        from stereomate.report.georef import draw_audit
+        from stereomate.report.overcorrection_style import save_figure
+
+        save_figure(draw_audit(found.audit), figure)
+    if json:
+        print_json(_audit_dict(found))
+    else:
+        _print_audit(found)
+        if figure is not None:
+            typer.echo(f"figure: {figure}")
+
+
+def _print_audit(found: ProjectAudit) -> None:
+    from stereomate.cli.output import console, table
+
+    out = console()
+    result = found.audit
+    out.print(f"[bold]Audit of {found.path}[/bold]", highlight=False)
+    rows = [(finding.key, finding.value, finding.sure) for finding in result.findings]
+    out.print(table("What the project file should say", ("key", "value", "how sure"), rows, left=(0, 1, 2)))
+    sections = (
+        ("Why", [finding.sentence for finding in result.findings]),
+        ("Evidence", result.evidence),
+        ("What the data do not decide", result.undecided),
+        ("Height systems registered here whose geoid was not tried", found.registered),
+        ("Notes", found.notes),
+    )
+    for title, lines in sections:
+        if lines:
+            out.print(f"[bold]{title}[/bold]")
+            for line in lines:
+                out.print(f"  • {line}", highlight=False, markup=False)
+    out.print(_ranking_table(result))
+    heads = ("angles", "image residuals px")
+    readings = [(fit.reading.name, f"{fit.total_px:.3f}") for fit in result.attitudes[:8]]
+    out.print(table("Readings of the attitudes", heads, readings, rest=len(result.attitudes) - 8))
+
+
+def _ranking_table(result: Audit) -> Any:
+    from stereomate.cli.output import table
+    from stereomate.frames.audit.readings import WORK_WORDS
+
+    rows = []
+    for h in result.ranked[:10]:
+        rows.append(
+            (
+                WORK_WORDS[h.work],
+                h.heights.text.rsplit("/", 1)[-1],
+                h.reference_heights.text.rsplit("/", 1)[-1],
+                f"{h.image_rms_px[0]:.3f}/{h.image_rms_px[1]:.3f}",
+                _mean(h.points),
+                _mean(h.control),
+                f"{h.score - result.best.score:.1f}",
+            )
+        )
+    heads = ("reading", "heights", "of control", "image px", "known points m", "control m", "behind")
+    title = "Hypotheses, the best first (mean differences east, north, height)"
+    return table(title, heads, rows, left=(0, 1, 2), rest=len(result.ranked) - 10)
+
+
+def _mean(part: Differences | None) -> str:
+    return "" if part is None else " ".join(f"{value:+.3f}" for value in part.mean)
+
+
+def _audit_dict(found: ProjectAudit) -> dict[str, Any]:
+    result = found.audit
+    return {
+        "project": found.path,
+        "findings": result.findings,
+        "evidence": result.evidence,
+        "undecided": result.undecided,
+        "accuracy_m": result.accuracy_m,
+        "flying_height_m": result.flying_height_m,
+        "scale_excess_m": result.scale_excess_m,
+        "scale_pattern": result.slope,
+        "common_turn": result.turn,
+        "explained": result.explained,
+        "registered_height_systems": found.registered,
+        "hypotheses": [_hypothesis_dict(h) for h in result.ranked],
+        "attitudes": [{"name": fit.reading.name, "rms_px": fit.rms_px} for fit in result.attitudes],
+        "notes": found.notes,
+    }
+
+
+def _hypothesis_dict(h: Hypothesis) -> dict[str, Any]:
+    return {
+        "work": h.work,
+        "attitude": h.attitude.name,
+        "heights": h.heights.text,
+        "control_heights": h.reference_heights.text,
+        "image_rms_px": h.image_rms_px,
+        "points": h.points,
+        "control": h.control,
+        "score": h.score,
     }

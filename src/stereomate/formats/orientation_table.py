@@ -28,13 +28,13 @@ OTHER: Final = "other"
 
 # Written name (lower case, letters only, unit removed) -> column.
 _SYNONYMS: Final = {
-    NAME: "filename file name image imagename imageid photo photoid photoname label img point pointid",
+    NAME: "filename file name nom image imagename imageid photo photoid photoname label img point pointid",
     "x": "x easting east e x0 xl xeasting ox",
     "y": "y northing north n y0 yl ynorthing oy",
     "z": "z height h altitude alt elevation z0 zl zaltitude oz ellipsoidalheight",
     "longitude": "longitude lon long lng",
     "latitude": "latitude lat",
-    "omega": "omega w om ω",
+    "omega": "omega w om o ω",
     "phi": "phi p ph φ",
     "kappa": "kappa k kap κ",
     "roll": "roll r",
@@ -57,6 +57,8 @@ _UNITS: Final[dict[str, AngleUnit]] = {
 }
 _SEPARATORS: Final = ("\t", ";", ",", "|")
 _TOKEN: Final = re.compile(r"'([^']*)'|\"([^\"]*)\"|(\S+)")
+# r11 to r33 of a rotation matrix beside the angles (Metashape) are no roll.
+_MATRIX_ELEMENT: Final = re.compile(r"[rm][1-3][1-3]$", re.IGNORECASE)
 _UNIT_IN_HEADER: Final = re.compile(r"[\[(]\s*([^\])]*?)\s*[\])]|[_ ](deg|gon|rad)\s*$", re.IGNORECASE)
 
 
@@ -218,7 +220,7 @@ def _column(cell: str) -> tuple[str | None, AngleUnit | None]:
     found = _UNIT_IN_HEADER.search(cell)
     word = (found[1] or found[2] or "").lower() if found else ""
     bare = _UNIT_IN_HEADER.sub("", cell) if found else cell
-    key = re.sub(r"[^a-zωφκ0]", "", bare.lower())
+    key = "" if _MATRIX_ELEMENT.match(bare) else re.sub(r"[^a-zωφκ0]", "", bare.lower())
     return _COLUMN_OF.get(key), _UNITS.get(word)
 
 

@@ -192,6 +192,11 @@ class HeightSystem:
         return out
 
 
+def geoid_description(system: HeightSystem) -> str:
+    """What the file of a geoid grid says about itself; its name if nothing."""
+    return _grid(system.reference).description
+
+
 @functools.lru_cache(maxsize=8)
 def _grid(path: str) -> GeoidGrid:
     return read_geoid_grid(path)

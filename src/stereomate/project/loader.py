@@ -60,10 +60,10 @@ def load(path: str | Path, *, strict: bool | None = None) -> Project:
     path = Path(path)
     file = read_project_file(path)
     options = _options(file.products, path)
-    frame = _project_frame(file, path)
+    frame = project_frame(file, path)
     reading = Reading(path, "photos", path.parent, file.project.crs, frame.heights)
     notes = _height_notes(frame)
-    cameras = _cameras(file, path, notes)
+    cameras = cameras_of(file, path, notes)
     written = read_orientations(file.photos, reading)
     notes += written.notes
     candidates, problems = find_candidates(file, path, written, cameras)
@@ -110,7 +110,8 @@ def _options(section: ProductsSection, path: Path) -> RectifyOptions:
         raise named(error, path, error.field or "products") from error
 
 
-def _project_frame(file: ProjectFile, path: Path) -> MapFrame:
+def project_frame(file: ProjectFile, path: Path) -> MapFrame:
+    """CRS and height system of a project file."""
     try:
         heights = HeightSystem.from_text(file.project.heights, path.parent)
     except InputError as error:
@@ -130,7 +131,8 @@ def _height_notes(frame: MapFrame) -> list[str]:
     return notes
 
 
-def _cameras(file: ProjectFile, path: Path, notes: list[str]) -> dict[str, Camera]:
+def cameras_of(file: ProjectFile, path: Path, notes: list[str]) -> dict[str, Camera]:
+    """The cameras a project file describes, by name; `notes` gets what was assumed."""
     cameras: dict[str, Camera] = {}
     for number, section in enumerate(file.camera, 1):
         camera, remarks = camera_from_section(section, path, f"camera[{number}]")

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.errors import InputError
-from stereomate.formats.orientation_table import MAP_COLUMNS, read_orientation_table
 from stereomate.frames.adjusted import GridAdjustment, grid_height_excess_m, space_from_grid_centres
+from stereomate.project.control import read_control
 from stereomate.project.ground import GroundUnderBlock
 from stereomate.project.orientations import Reading, WrittenOrientations, height_system, map_frame, named
 from stereomate.project.schema import ControlSection, ProjectFile
@@ -132,8 +132,8 @@ def _reference(
 
 def _control_heights(section: ControlSection, reading: Reading) -> tuple[float, float]:
     """Mean and standard deviation of the ellipsoidal heights of the control points."""
-    table = read_orientation_table(reading.folder / section.file, section.columns, section.separator)
+    control = read_control(section, reading.folder)
     heights = height_system(section.heights, reading.heights, reading, "control.heights")
     frame = map_frame(section.crs or reading.crs, heights, reading.project_file, "control.crs")
-    points = frame.geodetic_from_map(np.array([row.values(MAP_COLUMNS) for row in table.rows]))
+    points = frame.geodetic_from_map(control.xyz)
     return float(points[:, 2].mean()), float(points[:, 2].std())

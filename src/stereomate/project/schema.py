@@ -204,6 +204,13 @@ class ControlSection(Section):
     separator: str | None = None
 
 
+class ObservationsSection(Section):
+    """``[observations]``: image observations of tie and control points."""
+
+    files: str | Names
+    points: str | None = None
+
+
 class ProductsSection(Section):
     """``[products]``: types here, ranges in `stereomate.rectify.options.RectifyOptions`."""
 
@@ -245,6 +252,7 @@ class ProjectFile(Section):
     photos: PhotosSection
     terrain: TerrainSection | None = None
     control: ControlSection | None = None
+    observations: ObservationsSection | None = None
     products: ProductsSection = ProductsSection()
 
     @model_validator(mode="after")

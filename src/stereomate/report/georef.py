@@ -10,6 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, Colormap
 from matplotlib.figure import Figure
 
+from stereomate.frames.audit.findings import Audit
+from stereomate.frames.audit.readings import WORK_WORDS
 from stereomate.frames.prediction.predict import ErrorMap, Prediction
 from stereomate.frames.prediction.simulate import METHODS, Outcome
 from stereomate.report.overcorrection_style import INK, figure_style
@@ -178,3 +180,74 @@ def _levels(largest: float) -> Any:
 
 def _colormap() -> Colormap:
     return mpl.colormaps[_COLOURS]
+
+
+def draw_audit(result: Audit) -> Figure:
+    """Height differences of known points over the block, and the ranking of hypotheses.
+
+    Parameters
+    ----------
+    result : Audit
+    """
+    best = result.best
+    with figure_style():
+        figure = Figure(figsize=(11.0, 4.8), layout="constrained")
+        left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.25))
+        known = np.isfinite(best.differences).all(axis=1)
+        if known.any():
+            _draw_differences(figure, left, result, known)
+        else:
+            left.axis("off")
+            left.text(0.5, 0.5, "no points of known ground", ha="center", transform=left.transAxes)
+        _draw_scores(right, result)
+    return figure
+
+
+def _draw_differences(figure: Figure, axes: Axes, result: Audit, known: Any) -> None:
+    best, obs = result.best, result.observations
+    places = obs.reference[known, :2]
+    up = best.differences[known, 2]
+    middle = places.mean(axis=0)
+    limit = max(float(np.percentile(np.abs(up), 98)), 1e-3)
+    x, y = (1e-3 * (places - middle)).T
+    drawn = axes.scatter(x, y, c=up, s=7.0, cmap=_COLOURS, vmin=-limit, vmax=limit, linewidths=0.0)
+    control = obs.control[known]
+    axes.plot(x[control], y[control], "^", color="none", markeredgecolor=INK, markersize=7.0)
+    figure.colorbar(drawn, ax=axes, shrink=0.85).set_label("computed minus known height, m")
+    axes.set_aspect("equal")
+    axes.set_xlabel("x, km from the middle of the block")
+    axes.set_ylabel("y, km")
+    axes.set_title(
+        f"Best hypothesis: {WORK_WORDS[best.work]}\n"
+        f"mean {up.mean():+.3f} m, standard deviation {up.std():.3f} m; triangles: control",
+        fontsize=8.5,
+    )
+
+
+def _draw_scores(axes: Axes, result: Audit) -> None:
+    shown = result.ranked[:8]
+    behind = [max(h.score - result.best.score, 0.1) for h in shown]
+    at = np.arange(len(shown))[::-1]
+    limits = ((4.0, "undecided"), (9.0, "likely"), (25.0, "very likely"), (np.inf, "excluded"))
+    colours = ("#1a7044", "#8aa83a", "#d1a60a", "#b9b9b9")
+    names = [next(k for k, (limit, _) in enumerate(limits) if value < limit) for value in behind]
+    axes.barh(at, behind, color=[colours[k] for k in names], height=0.26)
+    for y, h, value in zip(at, shown, behind, strict=True):
+        part = h.points or h.control
+        height = "" if part is None else f", height {part.mean[2]:+.3f} m"
+        text = (
+            f"{WORK_WORDS[h.work]}\n{h.heights.text.rsplit('/', 1)[-1]} / "
+            f"{h.reference_heights.text.rsplit('/', 1)[-1]}{height}, {np.hypot(*h.image_rms_px):.3f} px"
+        )
+        axes.text(0.115, y + 0.16, text, va="bottom", fontsize=6.5, color=INK)
+        axes.text(value * 1.1, y, f"{h.score - result.best.score:.1f}", va="center", fontsize=6.5)
+    for limit, name in limits[:3]:
+        axes.axvline(limit, color="#999999", linewidth=0.6, linestyle=(0, (3, 3)))
+        axes.text(limit, -0.75, name, rotation=90, va="bottom", ha="right", fontsize=6.0, color="#777777")
+    axes.set_xscale("log")
+    axes.set_xlim(0.1, max(behind) * 6.0)
+    axes.set_ylim(-0.8, len(shown) - 0.2)
+    axes.set_yticks([])
+    axes.spines["left"].set_visible(False)
+    axes.set_xlabel("score behind the best (logarithmic)")
+    axes.set_title("Hypotheses: heights of the orientation / of known points", fontsize=8.5)

@@ -1,0 +1,1 @@
+"""Which frame an orientation was really made in: hypotheses, their fit to points, a ranking."""

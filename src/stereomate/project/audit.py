@@ -1,0 +1,306 @@
+"""Audit of a project: its files read without believing what it declares, and what they say themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereomate.camera.model import Camera
+from stereomate.errors import InputError, OrientationError, ProjectError
+from stereomate.formats.ign import GroundPoints, ImageObservations, read_ground_points, read_mes
+from stereomate.formats.orientation_table import read_orientation_table
+from stereomate.frames.audit.findings import Audit, audit
+from stereomate.frames.audit.observations import AuditObservations, WrittenBlock
+from stereomate.frames.audit.readings import HeightCandidate
+from stereomate.frames.audit.vertical import grid_file_candidate, vertical_names, world_geoids
+from stereomate.frames.heights import HeightSystem
+from stereomate.frames.mapframe import MapFrame
+from stereomate.project.control import read_control
+from stereomate.project.loader import cameras_of, project_frame
+from stereomate.project.orientations import Reading, WrittenOrientations, read_orientations
+from stereomate.project.reading import read_project_file
+from stereomate.project.schema import UNDECLARED, OrientationSection, ProjectFile
+from stereomate.raster import open_photo
+
+Array = NDArray[np.float64]
+
+_GRID_SUFFIXES: Final = (".tif", ".tiff", ".gtx", ".byn")
+# Geoid grids are small; larger rasters are photographs and products.
+_LARGEST_GRID_BYTES: Final = 64 << 20
+
+
+@dataclass(frozen=True, eq=False)
+class ProjectAudit:
+    """What the audit of a project found.
+
+    Attributes
+    ----------
+    path : Path
+    audit : Audit
+    candidates : tuple of HeightCandidate
+        Height systems that were tried.
+    registered : tuple of str
+        Height systems registered for the place, named where none that was tried explains the heights.
+    notes : tuple of str
+        What was assumed or left out.
+    """
+
+    path: Path
+    audit: Audit
+    candidates: tuple[HeightCandidate, ...]
+    registered: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def audit_project(path: str | Path) -> ProjectAudit:
+    """Which frame the orientation of a project was really made in, from its tie and control observations.
+
+    Raises
+    ------
+    ProjectError
+        If the project names no observations.
+    StereomateError
+        Of its classes, naming the file that is wrong.
+    """
+    path = Path(path)
+    file = read_project_file(path)
+    if file.observations is None:
+        raise ProjectError(
+            "must be given: the audit needs tie or control points",
+            file=path,
+            field="observations",
+            hint='[observations] with files = ["ties.mes"]',
+        )
+    notes: list[str] = []
+    written, frame = written_orientations(file, path, notes)
+    if written.frame.is_geographic:
+        raise ProjectError("must be coordinates of a map grid to be audited", file=path, field="photos.crs")
+    block = WrittenBlock(
+        written.frame.crs, written.positions, written.attitudes, written.convention, written.origin
+    )
+    observations = project_observations(file, path, written, notes)
+    lon, lat, _ = frame.geodetic_from_map([*written.positions[:, :2].mean(axis=0), 0.0])
+    candidates = _height_candidates(file, path, written, frame, float(lon), float(lat))
+    result = _audited(file, block, observations, candidates)
+    registered: tuple[str, ...] = ()
+    if observations.known.any() and not result.explained:
+        more = [
+            c
+            for c in world_geoids(frame, float(lon), float(lat))
+            if c.text not in {k.text for k in candidates}
+        ]
+        if more:
+            candidates = [*candidates, *more]
+            result = _audited(file, block, observations, candidates)
+        if not result.explained:
+            registered = tuple(vertical_names(float(lon), float(lat)))
+    return ProjectAudit(path, result, tuple(candidates), registered, tuple(notes))
+
+
+def _audited(
+    file: ProjectFile,
+    block: WrittenBlock,
+    observations: AuditObservations,
+    candidates: Sequence[HeightCandidate],
+) -> Audit:
+    """The audit with the declared systems first."""
+
+    def first(text: str | None) -> list[HeightCandidate]:
+        declared = text or file.project.heights
+        return sorted(candidates, key=lambda c: c.text != declared)
+
+    control = file.control.heights if file.control else None
+    return audit(block, observations, first(file.photos.heights), first(control))
+
+
+def written_orientations(
+    file: ProjectFile, path: Path, notes: list[str]
+) -> tuple[WrittenOrientations, MapFrame]:
+    """Orientations as written, and the frame of the project; angles that are not declared are guessed."""
+    frame = project_frame(file, path)
+    reading = Reading(path, "photos", path.parent, file.project.crs, frame.heights)
+    section: OrientationSection = file.photos
+    if section.angles is None and section.orientation_format != "opensfm":
+        table_path = path.parent / section.orientation
+        if table_path.suffix.lower() != ".json":
+            table = read_orientation_table(table_path, section.columns, section.separator)
+            axes = "grid" if "omega" in table.columns else "rph"
+            section = section.model_copy(update={"angles": axes})
+            notes.append(f'photos.angles is not declared: "{axes}" is where the audit starts from')
+    return read_orientations(section, reading), frame
+
+
+def project_observations(
+    file: ProjectFile, path: Path, written: WrittenOrientations, notes: list[str]
+) -> AuditObservations:
+    """Image observations of a project in units of the principal distance, and what is known of points."""
+    section = file.observations
+    if section is None:
+        raise ProjectError("must be given", file=path, field="observations")
+    names = [section.files] if isinstance(section.files, str) else list(section.files)
+    tables = [(path.parent / name, read_mes(path.parent / name)) for name in names]
+    cameras = photo_cameras(file, path, written, notes)
+    known: dict[str, tuple[Array, bool]] = {}
+    if section.points is not None:
+        _add(known, read_ground_points(path.parent / section.points), control=False)
+    if file.control is not None:
+        _add(known, read_control(file.control, path.parent), control=True)
+    return observations_of(tables, written.names, cameras, known, notes)
+
+
+def _add(known: dict[str, tuple[Array, bool]], points: GroundPoints, *, control: bool) -> None:
+    for name, xyz in zip(points.names, points.xyz, strict=True):
+        known[name] = (xyz, control)
+
+
+def photo_cameras(
+    file: ProjectFile, path: Path, written: WrittenOrientations, notes: list[str]
+) -> tuple[Camera, ...]:
+    """The camera of each orientation, without looking at any photograph.
+
+    Raises
+    ------
+    ProjectError
+        If no camera is described, or several and a row names none of them.
+    """
+    known: Mapping[str, Camera] = cameras_of(file, path, notes) or written.camera_values
+    if not known:
+        raise ProjectError("must be given: no camera is described", file=path, field="camera")
+    only = next(iter(known.values())) if len(known) == 1 else None
+    cameras = []
+    for name, wanted in zip(written.names, written.cameras, strict=True):
+        camera = only or known.get(file.photos.camera or wanted or "")
+        if camera is None:
+            raise ProjectError(
+                f"photograph {name} must name one of {', '.join(known)}", file=written.source, value=wanted
+            )
+        cameras.append(camera)
+    return tuple(cameras)
+
+
+def observations_of(
+    tables: Iterable[tuple[Path, ImageObservations]],
+    photographs: Sequence[str],
+    cameras: Sequence[Camera],
+    known: Mapping[str, tuple[Array, bool]],
+    notes: list[str],
+) -> AuditObservations:
+    """Observations by index: points in the order they are first named, rays freed of distortion.
+
+    Raises
+    ------
+    OrientationError
+        If no observation is in an oriented photograph.
+    """
+    index = photograph_index(photographs)
+    names: dict[str, int] = {}
+    point_of, photo_of, pixels, strange = [], [], [], set()
+    for _, table in tables:
+        for point, photo, pixel in zip(table.points, table.photographs, table.pixels, strict=True):
+            k = index.get(photo, index.get(Path(photo).stem))
+            if k is None:
+                strange.add(photo)
+                continue
+            point_of.append(names.setdefault(point, len(names)))
+            photo_of.append(k)
+            pixels.append(pixel)
+    if not point_of:
+        raise OrientationError(
+            "no observation is in an oriented photograph", field="observations", value=sorted(strange)[:3]
+        )
+    if strange:
+        notes.append(f"observations in {len(strange)} photographs without orientation are left out")
+    points, photos, where = np.array(point_of), np.array(photo_of), np.array(pixels)
+    image, c_px = np.empty((len(points), 2)), np.empty(len(points))
+    for camera in dict.fromkeys(cameras):
+        rows = np.array([cameras[k] is camera for k in range(len(cameras))])[photos]
+        image[rows] = camera.rays_from_image(where[rows])[..., :2]
+        c_px[rows] = principal_distance_px(camera)
+    good = np.isfinite(image).all(axis=1)
+    if not good.all():
+        notes.append(f"{int((~good).sum())} observations lie outside the range of the camera's distortion")
+    reference = np.full((len(names), 3), np.nan)
+    control = np.zeros(len(names), dtype=bool)
+    for name, k in names.items():
+        if name in known:
+            reference[k], control[k] = known[name]
+    return AuditObservations(
+        points[good].astype(np.int64),
+        photos[good].astype(np.int64),
+        image[good],
+        c_px[good],
+        tuple(names),
+        reference,
+        control,
+    )
+
+
+def photograph_index(photographs: Sequence[str]) -> dict[str, int]:
+    """Number of a photograph by its written name, and by that without extension."""
+    index = {Path(name).stem: k for k, name in enumerate(photographs)}
+    return index | {name: k for k, name in enumerate(photographs)}
+
+
+def principal_distance_px(camera: Camera) -> float:
+    """Principal distance in pixels, the mean of both directions."""
+    (a, b, _), (d, e, _) = camera.pixel_from_photo
+    return float(camera.principal_distance_mm * np.sqrt(abs(a * e - b * d)))
+
+
+def _height_candidates(
+    file: ProjectFile, path: Path, written: WrittenOrientations, frame: MapFrame, lon: float, lat: float
+) -> list[HeightCandidate]:
+    """Ellipsoidal heights, what the project declares, and the geoid grids that lie beside its files."""
+    found = {"ellipsoidal": HeightCandidate("ellipsoidal", "ellipsoidal heights", HeightSystem.ellipsoidal())}
+    if file.project.heights == UNDECLARED:
+        found[UNDECLARED] = replace(found["ellipsoidal"], text=UNDECLARED, name="undeclared heights")
+    declared = (file.project.heights, file.photos.heights, file.control.heights if file.control else None)
+    for text in declared:
+        if text is not None and text not in found and text != UNDECLARED:
+            system = HeightSystem.from_text(text, path.parent)
+            found[text] = HeightCandidate(text, system.description, system)
+    for grid in _grid_files(file, path):
+        text = _relative(grid, path.parent)
+        same = any(c.system.reference == str(grid.absolute()) for c in found.values())
+        candidate = None if text in found or same else grid_file_candidate(grid, text, frame, lon, lat)
+        if candidate is not None:
+            found[text] = candidate
+    return list(found.values())
+
+
+def _relative(path: Path, folder: Path) -> str:
+    try:
+        return path.relative_to(folder).as_posix()
+    except ValueError:
+        return str(path)
+
+
+def _grid_files(file: ProjectFile, path: Path) -> list[Path]:
+    """Small rasters in the folders of the project, its orientation and its control."""
+    names = [path, path.parent / file.photos.orientation]
+    if file.control is not None:
+        names.append(path.parent / file.control.file)
+    folders = dict.fromkeys(name.parent.resolve() for name in names)
+    found = []
+    for folder in folders:
+        for entry in sorted(folder.iterdir()) if folder.is_dir() else ():
+            small = entry.suffix.lower() in _GRID_SUFFIXES and entry.stat().st_size <= _LARGEST_GRID_BYTES
+            if small and _may_be_geoid(entry):
+                found.append(entry)
+    return found
+
+
+def _may_be_geoid(path: Path) -> bool:
+    """Whether a raster has one band of decimal numbers, without reading them."""
+    if path.suffix.lower() not in (".tif", ".tiff"):
+        return True
+    try:
+        with open_photo(path) as raster:
+            return raster.info.bands == 1 and raster.info.dtype.kind == "f"
+    except InputError:
+        return False
