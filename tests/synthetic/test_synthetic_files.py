@@ -15,7 +15,7 @@ from stereomate.frames.transform import tangent_from_map
 from stereomate.project import load
 from stereomate.project.run import RunOptions, run
 from stereomate.raster import open_heights, open_photo
-from stereomate.synthetic.files import project_text, write_survey
+from stereomate.synthetic.files import project_text, write_heights, write_survey
 from stereomate.synthetic.options import SurveyOptions
 from stereomate.synthetic.survey import make_survey
 from stereomate.synthetic.truth import matched_error, true_mate_ground, warp_error
@@ -46,6 +46,18 @@ def test_height_model_reads_back(small_survey, written):
         cols, rows = reader.size
         heights, _ = reader.read_window(0, 0, cols, rows)
     assert np.array_equal(heights, small_survey.world.heights)
+
+
+def test_height_model_with_planted_errors(small_survey, tmp_path):
+    wrong = small_survey.world.heights + 3.0
+    wrong[5, 7] = np.nan
+    write_heights(tmp_path / "wrong.tif", small_survey, wrong)
+    with open_heights(tmp_path / "wrong.tif") as reader:
+        heights, _ = reader.read_window(0, 0, *reader.size)
+    assert np.array_equal(np.isnan(heights), np.isnan(wrong))
+    assert np.nanmax(np.abs(heights - wrong)) < 1e-4
+    with pytest.raises(InputError, match="heights"):
+        write_heights(tmp_path / "other.tif", small_survey, wrong[1:])
 
 
 def test_project_loads_to_the_truth(small_survey, written):

@@ -27,6 +27,7 @@ PhotoFormat = Literal["tif", "jpg"]
 Surface = Literal["terrain", "surface"]
 
 _TILE: Final = 256
+_NODATA: Final = -9999.0
 _JPEG_QUALITY: Final = 95
 
 
@@ -88,7 +89,8 @@ def write_survey(
         folder / "truth.json",
     )  # fmt: skip
     tell(written.heights.name)
-    _write_heights(written.heights, survey, surface)
+    world = survey.world
+    write_heights(written.heights, survey, world.heights if surface == "terrain" else world.surface_model())
     write_whole(written.orientation, [orientation_table(survey, photos).encode()])
     points = [*survey.control_points, *survey.check_points]
     write_whole(folder / "points.csv", [_points_table(points).encode()])
@@ -119,11 +121,20 @@ def _tiff(image: NDArray[Any], **options: Any) -> bytes:
     return buffer.getvalue()
 
 
-def _write_heights(path: Path, survey: SyntheticSurvey, surface: Surface) -> None:
+def write_heights(path: Path, survey: SyntheticSurvey, heights: NDArray[np.float64]) -> None:
+    """Write a height model on the survey's terrain grid: the true one, or one with errors planted in it.
+
+    Parameters
+    ----------
+    heights : ndarray (rows, cols)
+        Ellipsoidal heights at the nodes; NaN for voids.
+    """
     world = survey.world
-    heights = world.heights if surface == "terrain" else world.surface_model()
+    if heights.shape != world.heights.shape:
+        raise InputError("must have the shape of the terrain grid", field="heights", value=heights.shape)
+    heights = np.where(np.isfinite(heights), heights, _NODATA)
     tags = template_tags(
-        CogProfile("float32", 1, nodata=-9999.0), Georeference(world.options.crs, world.affine), ()
+        CogProfile("float32", 1, nodata=_NODATA), Georeference(world.options.crs, world.affine), ()
     )
     skipped = (262, 338)  # photometric interpretation and extra samples: tifffile writes them itself
     extra = [(t.code, t.dtype, t.count, t.data, True) for t in tags.values() if t.code not in skipped]
