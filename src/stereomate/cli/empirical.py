@@ -28,6 +28,8 @@ class _Scene:
     start: Setting
     section: Any = None
     profiles: tuple[tuple[str, str, str], ...] = ()
+    cleared_ratio: float = 1e-5
+    given: Setting | None = None
 
 
 def register(app: typer.Typer) -> None:
@@ -39,7 +41,8 @@ def _empirical(
     points: Annotated[
         Path | None,
         typer.Argument(
-            help="Table of points: point,x_left,y_left,x_right,y_right in mm, or point,x,y,h in metres."
+            help="Table of points: point,x_left,y_left,x_right,y_right in mm, or point,x,y,h in metres; or a "
+            "project (.toml), one of whose pairs is measured by image matching."
         ),
     ] = None,
     heights: Annotated[
@@ -57,6 +60,10 @@ def _empirical(
     base: Annotated[
         float | None,
         typer.Option("--base", help="Metres [default: 5/8 of the flying height].", rich_help_panel=_MODEL),
+    ] = None,
+    pair: Annotated[
+        tuple[str, str] | None,
+        typer.Option("--pair", metavar="LEFT RIGHT", help="Pair of the project.", rich_help_panel=_MODEL),
     ] = None,
     principal_distance: Annotated[
         float | None,
@@ -155,16 +162,25 @@ def _empirical(
     )
     if points is None:
         scene = _standard_scene(heights, tangent, flight, profiles, procedure)
+    elif points.suffix.lower() == ".toml":
+        scene = _measured_scene(points, pair, profiles > 0)
     else:
         scene = _scene_of_table(points, principal_distance, flight)
     if scene.profiles:
         procedure = replace(procedure, profiles=scene.profiles)
     options = EmpiricalOptions(
-        cycles=cycles, rounds=rounds, parallax_std=noise, seed=seed, given_section=scene.section
+        cycles=cycles,
+        rounds=rounds,
+        parallax_std=noise,
+        seed=seed,
+        given_section=scene.section,
+        cleared_ratio=scene.cleared_ratio,
     )
     runs = _runs(scene, procedure, rule or ["general"], options)
     _write_figures(runs, figure, course)
     _print(runs, every_round, json)
+    if scene.given is not None and not json:
+        typer.echo(_against_given(runs, scene.given))
 
 
 @dataclass(frozen=True)
@@ -218,6 +234,42 @@ def _standard_scene(
     standard = procedure.section in (("1", "3", "5"), ("2", "4", "6"))
     known = terrain.section(right=under_right) if standard else None
     return _Scene(terrain.model(truth), start, known)
+
+
+def _measured_scene(path: Path, pair: tuple[str, str] | None, with_profiles: bool) -> _Scene:
+    from stereomate.errors import InputError
+    from stereomate.project import load
+    from stereomate.project.measured_pair import measured_pair
+
+    if pair is None:
+        raise InputError("is needed for a project: the names of two photographs", field="--pair")
+    measured = measured_pair(load(path), pair)
+    if measured.failed:
+        typer.echo(f"not matched, left out: {', '.join(measured.failed)}", err=True)
+    return _Scene(
+        measured.model,
+        measured.start,
+        profiles=measured.profiles if with_profiles else (),
+        # Parallaxes of less than a pixel belong to the measurement.
+        cleared_ratio=measured.pixel,
+        given=measured.given,
+    )
+
+
+def _against_given(runs: dict[str, EmpiricalRun], given: Setting) -> str:
+    """The right projector's elements against the orientation of the project, for the dependent pair."""
+    lines = ["", "found minus given by the project (dependent pair, right projector):"]
+    for name, run in runs.items():
+        if any(motion.endswith("1") for motion in run.procedure.motions):
+            return ""
+        found, wanted = run.setting.right, given.right
+        angles = "  ".join(
+            f"{symbol} {math.degrees(getattr(found, key) - getattr(wanted, key)):+.4f}°"
+            for symbol, key in (("ω", "omega"), ("φ", "phi"), ("κ", "kappa"))
+        )
+        shifts = f"by {found.by - wanted.by:+.3f} m  bz {found.bz - wanted.bz:+.3f} m"
+        lines.append(f"  {name:<10}{angles}  {shifts}")
+    return "\n".join(lines)
 
 
 def _scene_of_table(path: Path, principal_distance: float | None, flight: _Flight) -> _Scene:
