@@ -1,4 +1,4 @@
-"""Where the data of other people and the golden vectors are; tests that need them are skipped without them."""
+"""Where the data of other people and the golden vectors are; tests that need them are skipped without."""
 
 from __future__ import annotations
 
