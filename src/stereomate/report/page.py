@@ -79,7 +79,7 @@ def report_html(content: ReportContent) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template("run.html").render(content=content)
+    return environment.get_template("run.html").render(content=content, format=REPORT_FORMAT)
 
 
 def write_report(path: Path, content: ReportContent) -> None:
