@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stereomate.camera.model import Camera
 from stereomate.errors import InputError
 from stereomate.frames.adjusted import grid_from_space_centres
 from stereomate.frames.attitude import AttitudeConvention, rotation_tangent_from_axes, written_attitude
@@ -126,11 +127,18 @@ def test_convergence_of_the_wrong_sign(world):
     assert finding(result, "photos").value.startswith("#")
 
 
-def test_pixels_upside_down(world):
-    _, block, _ = world
-    result = result_of(world, written(world, GRID, rotations=block.rotations @ rotation_z(np.pi)))
-    assert "turned by 180" in result.attitudes[0].reading.name
-    assert finding(result, "camera.rotation").value == "180"
+@pytest.mark.parametrize("angle", [90, 180, 270])
+def test_pixels_that_are_turned(world, angle):
+    """The key is that of a camera whose stored pixels are turned clockwise."""
+    _, _, observations = world
+    camera = Camera.from_pixel_pitch("made", (1000, 1000), 50.0, 0.1, rotation=angle)
+    upright = Camera.from_pixel_pitch("upright", (1000, 1000), 50.0, 0.1)
+    rays = np.column_stack([observations.image, -np.ones(len(observations.image))])
+    stored, _ = camera.image_from_camera(rays)
+    wrongly = replace(observations, image=upright.rays_from_image(stored)[:, :2])
+    result = result_of(world, written(world, GRID), wrongly)
+    assert f"turned by {angle}" in result.attitudes[0].reading.name
+    assert finding(result, "camera.rotation").value == str(angle)
 
 
 def test_heights_in_feet(world):

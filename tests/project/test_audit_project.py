@@ -94,7 +94,7 @@ def test_the_geoid_that_is_missing(borea, tmp_path):
 
 def test_what_a_project_needs(small):
     with pytest.raises(ProjectError, match=r"observations: must be given.*ties\.mes"):
-        audit_project(small.path)
+        audit_project(small.path, photographs=False)
     small.replace("project.toml", "[terrain]", '[observations]\nfiles = "ties.mes"\n\n[terrain]')
     small.write("ties.mes", "a other 1 2\n")
     with pytest.raises(OrientationError, match="no observation is in an oriented photograph"):
@@ -105,3 +105,23 @@ def test_what_a_project_needs(small):
     found = audit_project(small.path)
     assert any("1 photographs without orientation" in note for note in found.notes)
     assert any("without points of known ground" in line for line in found.audit.undecided)
+
+
+@pytest.mark.real
+def test_photographs_turned_against_their_yaw(data_folder, tmp_path, capsys):
+    """Brighton Beach as `init` drafts it: the yaw of 24 to 29 is that of the flight, not of the pixels."""
+    images = data_folder / "brighton_beach" / "images"
+    if not images.is_dir():
+        pytest.skip(f"no {images}")
+    for file in images.iterdir():
+        (tmp_path / file.name).symlink_to(file)
+    with pytest.raises(SystemExit):
+        main.run(["init", str(tmp_path)])
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as end:
+        main.run(["georef", "audit", str(tmp_path / "project.toml"), "--json"])
+    assert end.value.code == 0
+    value = json.loads(capsys.readouterr().out)
+    assert sorted(value["turned"]) == [f"DJI_00{number}" for number in range(24, 30)]
+    assert all(abs(abs(turn) - 180.0) < 10.0 for turn in value["turned"].values())
+    assert len(value["turns"]) == 18

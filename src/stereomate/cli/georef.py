@@ -11,6 +11,10 @@ import typer
 from stereomate.cli.output import print_json
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rich.console import Console
+
     from stereomate.frames.audit.findings import Audit
     from stereomate.frames.audit.ranking import Differences, Hypothesis
     from stereomate.frames.prediction.predict import Prediction
@@ -208,6 +212,13 @@ def _prediction_dict(prediction: Prediction) -> dict[str, Any]:
 
 def _audit(
     project: Annotated[Path, typer.Argument(help="The project file.")],
+    photographs: Annotated[
+        bool | None,
+        typer.Option(
+            "--photographs/--no-photographs",
+            help="Match neighbouring photographs to find turned ones [default: without observations].",
+        ),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
     figure: Annotated[
         Path | None, typer.Option("--figure", help="Write height differences and scores: .svg, .pdf or .png.")
@@ -217,12 +228,15 @@ def _audit(
 
     Readings of the attitudes, the heights and the way of adjusting are tried against the tie and control
     points of [observations] and ranked by their fit. What the project file should say is printed, and how
-    sure that is.
+    sure that is. Photographs that are turned against their attitude are found by matching neighbours.
     """
+    from stereomate.errors import InputError
     from stereomate.project.audit import audit_project
 
-    found = audit_project(project)
+    found = audit_project(project, photographs)
     if figure is not None:
+        if found.audit is None:
+            raise InputError("needs [observations] in the project file", field="--figure", value=str(figure))
         from stereomate.report.georef import draw_audit
         from stereomate.report.overcorrection_style import save_figure
 
@@ -236,29 +250,37 @@ def _audit(
 
 
 def _print_audit(found: ProjectAudit) -> None:
-    from stereomate.cli.output import console, table
+    from stereomate.cli.output import console
 
     out = console()
-    result = found.audit
     out.print(f"[bold]Audit of {found.path}[/bold]", highlight=False)
+    if found.turns is not None:
+        _print_lines(out, "Photographs turned against their attitude", found.turns.sentences())
+    if found.audit is not None:
+        _print_points_audit(out, found, found.audit)
+
+
+def _print_points_audit(out: Console, found: ProjectAudit, result: Audit) -> None:
+    from stereomate.cli.output import table
+
     rows = [(finding.key, finding.value, finding.sure) for finding in result.findings]
     out.print(table("What the project file should say", ("key", "value", "how sure"), rows, left=(0, 1, 2)))
-    sections = (
-        ("Why", [finding.sentence for finding in result.findings]),
-        ("Evidence", result.evidence),
-        ("What the data do not decide", result.undecided),
-        ("Height systems registered here whose geoid was not tried", found.registered),
-        ("Notes", found.notes),
-    )
-    for title, lines in sections:
-        if lines:
-            out.print(f"[bold]{title}[/bold]")
-            for line in lines:
-                out.print(f"  • {line}", highlight=False, markup=False)
+    _print_lines(out, "Why", [finding.sentence for finding in result.findings])
+    _print_lines(out, "Evidence", result.evidence)
+    _print_lines(out, "What the data do not decide", result.undecided)
+    _print_lines(out, "Height systems registered here whose geoid was not tried", found.registered)
+    _print_lines(out, "Notes", found.notes)
     out.print(_ranking_table(result))
     heads = ("angles", "image residuals px")
     readings = [(fit.reading.name, f"{fit.total_px:.3f}") for fit in result.attitudes[:8]]
     out.print(table("Readings of the attitudes", heads, readings, rest=len(result.attitudes) - 8))
+
+
+def _print_lines(out: Console, title: str, lines: Sequence[str]) -> None:
+    if lines:
+        out.print(f"[bold]{title}[/bold]")
+        for line in lines:
+            out.print(f"  • {line}", highlight=False, markup=False)
 
 
 def _ranking_table(result: Audit) -> Any:
@@ -288,9 +310,16 @@ def _mean(part: Differences | None) -> str:
 
 
 def _audit_dict(found: ProjectAudit) -> dict[str, Any]:
+    value: dict[str, Any] = {"project": found.path, "notes": found.notes}
+    if found.turns is not None:
+        names = found.turns.names
+        value["turned"] = {names[turn.photo]: turn.turn_deg for turn in found.turns.turned}
+        value["turns"] = [{"photograph": names[turn.photo], "turn": turn} for turn in found.turns.turns]
+        value["turn_words"] = found.turns.sentences()
     result = found.audit
-    return {
-        "project": found.path,
+    if result is None:
+        return value
+    return value | {
         "findings": result.findings,
         "evidence": result.evidence,
         "undecided": result.undecided,
@@ -303,7 +332,6 @@ def _audit_dict(found: ProjectAudit) -> dict[str, Any]:
         "registered_height_systems": found.registered,
         "hypotheses": [_hypothesis_dict(h) for h in result.ranked],
         "attitudes": [{"name": fit.reading.name, "rms_px": fit.rms_px} for fit in result.attitudes],
-        "notes": found.notes,
     }
 
 

@@ -21,10 +21,11 @@ from stereomate.frames.audit.vertical import grid_file_candidate, vertical_names
 from stereomate.frames.heights import HeightSystem
 from stereomate.frames.mapframe import MapFrame
 from stereomate.project.control import read_control
-from stereomate.project.loader import cameras_of, project_frame
+from stereomate.project.loader import cameras_of, load, project_frame
 from stereomate.project.orientations import Reading, WrittenOrientations, read_orientations
 from stereomate.project.reading import read_project_file
 from stereomate.project.schema import UNDECLARED, OrientationSection, ProjectFile
+from stereomate.project.turned import TurnAudit, audit_turns
 from stereomate.raster import open_photo
 
 Array = NDArray[np.float64]
@@ -41,7 +42,10 @@ class ProjectAudit:
     Attributes
     ----------
     path : Path
-    audit : Audit
+    audit : Audit or None
+        From tie and control observations, where the project has some.
+    turns : TurnAudit or None
+        From matched photographs, where they were looked at.
     candidates : tuple of HeightCandidate
         Height systems that were tried.
     registered : tuple of str
@@ -51,32 +55,53 @@ class ProjectAudit:
     """
 
     path: Path
-    audit: Audit
+    audit: Audit | None
+    turns: TurnAudit | None
     candidates: tuple[HeightCandidate, ...]
     registered: tuple[str, ...]
     notes: tuple[str, ...]
 
 
-def audit_project(path: str | Path) -> ProjectAudit:
-    """Which frame the orientation of a project was really made in, from its tie and control observations.
+def audit_project(path: str | Path, photographs: bool | None = None) -> ProjectAudit:
+    """Which frame the orientation of a project was really made in.
+
+    Parameters
+    ----------
+    path : path
+        The project file.
+    photographs : bool, optional
+        Whether neighbouring photographs are matched to find turned ones; if absent, where the project has no
+        observations.
 
     Raises
     ------
     ProjectError
-        If the project names no observations.
+        If the project has neither observations nor photographs to match.
     StereomateError
         Of its classes, naming the file that is wrong.
     """
     path = Path(path)
     file = read_project_file(path)
-    if file.observations is None:
+    match = file.observations is None if photographs is None else photographs
+    if file.observations is None and not match:
         raise ProjectError(
-            "must be given: the audit needs tie or control points",
+            "must be given: the audit needs tie or control points, or photographs to match",
             file=path,
             field="observations",
             hint='[observations] with files = ["ties.mes"]',
         )
+    turns = audit_turns(load(path)) if match else None
+    if file.observations is None:
+        return ProjectAudit(path, None, turns, (), (), ())
     notes: list[str] = []
+    result, candidates, registered = _audit_points(file, path, notes)
+    return ProjectAudit(path, result, turns, tuple(candidates), registered, tuple(notes))
+
+
+def _audit_points(
+    file: ProjectFile, path: Path, notes: list[str]
+) -> tuple[Audit, list[HeightCandidate], tuple[str, ...]]:
+    """The audit by points, the height systems tried, and those registered where none explains the heights."""
     written, frame = written_orientations(file, path, notes)
     if written.frame.is_geographic:
         raise ProjectError("must be coordinates of a map grid to be audited", file=path, field="photos.crs")
@@ -84,22 +109,19 @@ def audit_project(path: str | Path) -> ProjectAudit:
         written.frame.crs, written.positions, written.attitudes, written.convention, written.origin
     )
     observations = project_observations(file, path, written, notes)
-    lon, lat, _ = frame.geodetic_from_map([*written.positions[:, :2].mean(axis=0), 0.0])
-    candidates = _height_candidates(file, path, written, frame, float(lon), float(lat))
+    plain = MapFrame(written.frame.crs, HeightSystem.ellipsoidal())
+    middle = plain.geodetic_from_map([*written.positions[:, :2].mean(axis=0), 0.0])
+    lon, lat = float(middle[0]), float(middle[1])
+    candidates = _height_candidates(file, path, frame, lon, lat)
     result = _audited(file, block, observations, candidates)
-    registered: tuple[str, ...] = ()
-    if observations.known.any() and not result.explained:
-        more = [
-            c
-            for c in world_geoids(frame, float(lon), float(lat))
-            if c.text not in {k.text for k in candidates}
-        ]
-        if more:
-            candidates = [*candidates, *more]
-            result = _audited(file, block, observations, candidates)
-        if not result.explained:
-            registered = tuple(vertical_names(float(lon), float(lat)))
-    return ProjectAudit(path, result, tuple(candidates), registered, tuple(notes))
+    if result.explained or not observations.known.any():
+        return result, candidates, ()
+    tried = {candidate.text for candidate in candidates}
+    more = [candidate for candidate in world_geoids(frame, lon, lat) if candidate.text not in tried]
+    if more:
+        candidates = [*candidates, *more]
+        result = _audited(file, block, observations, candidates)
+    return result, candidates, () if result.explained else tuple(vertical_names(lon, lat))
 
 
 def _audited(
@@ -253,7 +275,7 @@ def principal_distance_px(camera: Camera) -> float:
 
 
 def _height_candidates(
-    file: ProjectFile, path: Path, written: WrittenOrientations, frame: MapFrame, lon: float, lat: float
+    file: ProjectFile, path: Path, frame: MapFrame, lon: float, lat: float
 ) -> list[HeightCandidate]:
     """Ellipsoidal heights, what the project declares, and the geoid grids that lie beside its files."""
     found = {"ellipsoidal": HeightCandidate("ellipsoidal", "ellipsoidal heights", HeightSystem.ellipsoidal())}

@@ -165,7 +165,7 @@ def _mistakes_of(base: AttitudeReading) -> list[AttitudeReading]:
         vision = "photogrammetric"
     words = "camera axes x right, y down, z forwards" if vision == "computer_vision" else "camera axes y up"
     found.append(AttitudeReading(words + where, replace(convention, camera_axes=vision)))
-    for turn, rotation in ((90.0, "270"), (180.0, "180"), (270.0, "90")):
+    for turn, rotation in ((90.0, "90"), (180.0, "180"), (270.0, "270")):
         keys = (*base.keys, ("camera.rotation", rotation))
         found.append(
             AttitudeReading(f"pixels turned by {turn:g}°{where}", convention, image_turn_deg=turn, keys=keys)
