@@ -8,7 +8,7 @@ the camera was. Conventions (georeferencing theory, section 5):
 - roll-pitch-heading: body forward-right-down, ``R_nb = Rz(heading) Ry(pitch) Rx(roll)`` to north-east-down,
   ``axes_from_camera = T R_nb mount boresight`` with ``T`` from north-east-down to east-north-up;
 - map axes at a projection centre: ``R_grid = Rz(gamma) R_enu``. Adding gamma to kappa is wrong for tilted
-photographs.
+  photographs.
 """
 
 from __future__ import annotations

@@ -2,12 +2,10 @@
 
 - M1: stay in a tangent frame and transform the results. Rigorous; what stereomate does.
 - M2: multiply all heights by the scale, work, divide the results by it. ``(X, Y, tau Z)`` is a similarity of
-space, so it
-  holds for any tilt; what is left is the change of scale inside an image.
+  space, so it holds for any tilt; what is left is the change of scale inside an image.
 - M3: principal distance ``c / tau``. For nearly vertical photographs only.
 - M4: add to each measured image coordinate the difference between the grid's collinearity and the rigorous
-one at the current
-  point. Exact after a few passes, each about 300 times better than the last.
+  one at the current point. Exact after a few passes, each about 300 times better than the last.
 
 The scale is tau_e = tau / (1 + h/R) where distances are kept at ground level (classical curvature
 correction), tau where they are reduced to the ellipsoid.
