@@ -29,6 +29,7 @@ COMMANDS: Final = (
     "overcorrection",
     "empirical",
     "georef",
+    "convert",
 )
 
 # Global options may stand before or after the command; the value says whether an argument follows.

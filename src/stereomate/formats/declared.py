@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,14 @@ AXES_WORDS: Final[dict[AttitudeAxes, str]] = {
     "local": "local (east, north, up at each centre)",
     "tangent": "tangent (those of the tangent frame)",
     "geocentric": "geocentric",
+}
+_CHOICES: Final[dict[str, tuple[str, ...]]] = {
+    "axes": get_args(AttitudeAxes),
+    "order": ("opk", "pok", "rph"),
+    "unit": get_args(AngleUnit),
+    "mount": get_args(Mount),
+    "matrix": get_args(MatrixDirection),
+    "opensfm_frame": get_args(OpenSfmFrame),
 }
 _FULL_TURN: Final[dict[AngleUnit, float]] = {
     "deg": 360.0,
@@ -212,6 +220,18 @@ class Declared:
                 "(rows are); a wrong choice turns kappa to -kappa",
             )
         return self.matrix
+
+
+def check_choice(name: str, value: str, field: str) -> None:
+    """Check a declared word, such as the unit of angles.
+
+    Raises
+    ------
+    FormatError
+        If it is none of the choices of the attribute `name`; they are listed.
+    """
+    if name in _CHOICES and value not in _CHOICES[name]:
+        raise FormatError(f"must be one of {', '.join(_CHOICES[name])}", field=field, value=value)
 
 
 def _heights_of(crs: str) -> HeightSystem:

@@ -45,6 +45,7 @@ class GeocentricFrame:
 
 Place = MapFrame | TangentFrame | GeocentricFrame
 
+_ADJUSTED: Final = "centres were adjusted in the grid"
 # Axes that make sense for coordinates of each kind of frame.
 _AXES: Final[dict[type, tuple[AttitudeAxes, ...]]] = {
     MapFrame: ("grid", "grid_east_north", "local", "geocentric"),
@@ -179,7 +180,8 @@ def converted(source: OrientationSet, place: Place, axes: AttitudeAxes | None = 
     if place == source.place and axes == source.axes:
         rotations = source.rotations
     else:
-        rotations = _turned(source, place, axes)
+        turns = rotations_between(source.place, source.axes, place, axes, source.positions)
+        rotations = turns @ source.rotations
     result = replace(source, positions=positions, rotations=rotations, place=place, axes=axes)
     return result.with_notes(*notes, *_scale_notes(source, place))
 
@@ -224,8 +226,7 @@ def space_from_grid(source: OrientationSet, reference_height: float) -> Orientat
     result = space_from_grid_centres(frame, source.positions, reference_height)
     mean = float(result.shift_m.mean())
     return replace(source, positions=result.centres).with_notes(
-        f"centres were adjusted in the grid with control at height {reference_height:g}: "
-        f"true heights are {mean:+.3f} m on average"
+        f"{_ADJUSTED} with control at height {reference_height:g}: true heights are {mean:+.3f} m on average"
     )
 
 
@@ -267,21 +268,30 @@ def _undeclared(place: Place) -> bool:
     return isinstance(place, MapFrame) and place.heights.kind == "undeclared"
 
 
-def _turned(source: OrientationSet, place: Place, axes: AttitudeAxes) -> Array:
-    fixed = [p for p in (source.place, place) if not isinstance(p, MapFrame)]
+def rotations_between(
+    source: Place, source_axes: AttitudeAxes, target: Place, target_axes: AttitudeAxes, points: ArrayLike
+) -> Array:
+    """Rotations (n, 3, 3) from axes in one frame to axes in another at points (n, 3) of the first.
+
+    Raises
+    ------
+    CrsError, OrientationError
+        If grid axes are asked of a map that has none, or a datum transformation is not known.
+    """
+    xyz = np.asarray(points, dtype=np.float64)
+    fixed = [place for place in (source, target) if not isinstance(place, MapFrame)]
     if len(fixed) == 2 and not same_datum(datum_of(fixed[0]), datum_of(fixed[1])):
         # Rotations change datum along east, north and up of a map: through longitude and latitude.
-        step = converted(source, _geodetic_map(place), "local")
-        return _turned(step, place, axes)
-    working = _working_frame(fixed[0] if fixed else source.place, source)
-    centres = positions_in(_ellipsoidal(source.place), working, source.positions)[0]
-    there = _tangent_from_axes(place, axes, working, centres)
-    rotations: Array = (
-        np.swapaxes(there, -1, -2)
-        @ _tangent_from_axes(source.place, source.axes, working, centres)
-        @ source.rotations
-    )
-    return rotations
+        step = _geodetic_map(target)
+        there = positions_in(source, step, xyz)[0]
+        onwards = rotations_between(step, "local", target, target_axes, there)
+        return onwards @ rotations_between(source, source_axes, step, "local", xyz)
+    working = _working_frame(fixed[0] if fixed else source, source, xyz)
+    centres = positions_in(_ellipsoidal(source), working, xyz)[0]
+    here = _tangent_from_axes(source, source_axes, working, centres)
+    there = _tangent_from_axes(target, target_axes, working, centres)
+    turns: Array = np.swapaxes(there, -1, -2) @ here
+    return np.broadcast_to(turns, (len(xyz), 3, 3))
 
 
 def _ellipsoidal(place: Place) -> Place:
@@ -289,13 +299,13 @@ def _ellipsoidal(place: Place) -> Place:
     return MapFrame(place.crs, HeightSystem.ellipsoidal()) if _undeclared(place) else place  # type: ignore[union-attr]
 
 
-def _working_frame(place: Place, source: OrientationSet) -> TangentFrame:
+def _working_frame(place: Place, source: Place, points: Array) -> TangentFrame:
     if isinstance(place, TangentFrame):
         return place
     datum = datum_of(place)
     target = MapFrame(datum.crs, HeightSystem.ellipsoidal())
-    middle = source.positions.mean(axis=0)[None]
-    lon, lat, h = positions_in(_ellipsoidal(source.place), target, middle)[0][0]
+    middle = points.mean(axis=0)[None]
+    lon, lat, h = positions_in(_ellipsoidal(source), target, middle)[0][0]
     return TangentFrame.at_geodetic(datum, float(lon), float(lat), float(h))
 
 
@@ -311,7 +321,8 @@ def _tangent_from_axes(place: Place, axes: AttitudeAxes, working: TangentFrame, 
 def _scale_notes(source: OrientationSet, place: Place) -> tuple[str, ...]:
     """What reading or writing centres of a projected map as true positions means."""
     frames = [p for p in (source.place, place) if isinstance(p, MapFrame) and not p.is_geographic]
-    if place == source.place or not frames:
+    said = any(note.startswith(_ADJUSTED) for note in source.notes)
+    if place == source.place or not frames or said:
         return ()
     frame = frames[0]
     try:

@@ -58,7 +58,7 @@ _UNITS: Final[dict[str, AngleUnit]] = {
 _SEPARATORS: Final = ("\t", ";", ",", "|")
 _TOKEN: Final = re.compile(r"'([^']*)'|\"([^\"]*)\"|(\S+)")
 # r11 to r33 of a rotation matrix beside the angles (Metashape) are no roll.
-_MATRIX_ELEMENT: Final = re.compile(r"[rm][1-3][1-3]$", re.IGNORECASE)
+_MATRIX_ELEMENT: Final = re.compile(r"[rm][1-3][1-3]\W*$", re.IGNORECASE)
 _UNIT_IN_HEADER: Final = re.compile(r"[\[(]\s*([^\])]*?)\s*[\])]|[_ ](deg|gon|rad)\s*$", re.IGNORECASE)
 
 
