@@ -28,6 +28,7 @@ COMMANDS: Final = (
     "demo",
     "overcorrection",
     "empirical",
+    "relative",
     "georef",
     "convert",
 )
