@@ -26,6 +26,7 @@ def register(app: typer.Typer) -> None:
     georef = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help=_HELP)
     georef.command("predict")(_predict)
     georef.command("audit")(_audit)
+    georef.command("fix")(_fix)
     app.add_typer(georef, name="georef")
 
 
@@ -346,3 +347,49 @@ def _hypothesis_dict(h: Hypothesis) -> dict[str, Any]:
         "control": h.control,
         "score": h.score,
     }
+
+
+def _fix(
+    project: Annotated[Path, typer.Argument(help="The project file.")],
+    folder: Annotated[Path, typer.Argument(help="Folder for the corrected files.")],
+    remedy: Annotated[
+        str, typer.Option("--remedy", help="M2 (heights), M3 (principal distance), M4 (image coordinates).")
+    ] = "M4",
+    per_image: Annotated[
+        bool, typer.Option("--per-image", help="M3: the scale of each photograph, not of the block.")
+    ] = False,
+    back: Annotated[
+        Path | None,
+        typer.Option("--back", help="Bring a table of its results (x, y, z) back to true heights."),
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Rewrite an orientation for software that takes the map grid as Cartesian.
+
+    Writes orientation.csv, the corrected observations and fix.json; the principal distances of M3 are in the
+    orientation. With --back, results are brought back and written beside the table as NAME_true.csv.
+    """
+    from stereomate.project.fix import fix_project, results_back
+
+    if back is not None:
+        out = back.with_name(f"{back.stem}_true.csv")
+        count = results_back(folder, back, out)
+        typer.echo(f"{out}: {count} rows with true heights")
+        return
+    made = fix_project(project, folder, remedy, per_image=per_image)  # type: ignore[arg-type]
+    fixed = made.fixed
+    if json:
+        print_json(
+            {
+                "remedy": fixed.remedy,
+                "files": made.files,
+                "scale": float(fixed.scale.mean()),
+                "ground_m": fixed.ground_m,
+                "words": made.words,
+            }
+        )
+        return
+    for path in made.files:
+        typer.echo(f"wrote {path}")
+    for line in made.words:
+        typer.echo(f"  {line}")

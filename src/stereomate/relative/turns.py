@@ -2,8 +2,8 @@
 
 The rays of two photographs, turned by their attitudes into map axes, meet level ground at offsets z (complex,
 per unit of height). With true attitudes ``z_right = s z_left - B / H``, B the base. If the attitudes are
-wrong by turns ``t`` about the vertical,
-``z_right = s exp(i (t_left - t_right)) z_left - exp(-i t_right) B / H``: the similarity between matched offsets gives both turns, the base being known from the projection centres.
+wrong by turns t about the vertical, z_right and z_left are multiplied by ``exp(-i t)``: the similarity
+between matched offsets gives both turns, the base being known from the projection centres.
 """
 
 from __future__ import annotations
