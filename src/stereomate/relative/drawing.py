@@ -36,13 +36,13 @@ class SectionDrawing:
 
     Attributes
     ----------
-    section : ndarray, shape (3, 2)
+    section : ndarray (3, 2)
         The three points in the order of the rows given.
     numbers : tuple of int
         Their numbers: (1, 3, 5) or (2, 4, 6).
     roles : tuple of int
         Rows of the first and the second cleared point and of the corrected one.
-    profile : ndarray, shape (m, 2) or None
+    profile : ndarray (m, 2) or None
         Terrain profile through the points, if one was given.
     construction : {"general", "nadir", "flat"}
         How many perpendiculars have to be drawn: three (Fig. 4), two (Fig. 5), one (Fig. 6).

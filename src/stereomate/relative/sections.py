@@ -43,7 +43,7 @@ class SectionStrength:
 
     Attributes
     ----------
-    section : ndarray, shape (3, 2)
+    section : ndarray (3, 2)
         The points by y and z, metres.
     corrected : int
         Number of the over-corrected point.
@@ -122,7 +122,7 @@ class SectionOptions:
     search : float
         Part of the nominal distance within which another place is taken for a standard one.
     limit_factor : float
-        |n| above which the section is near the critical circle.
+        Size of n above which the section is near the critical circle.
     limit_ratio : float
         `OrientationSection.ratio` above which a section is weak.
     """
@@ -158,7 +158,7 @@ class OrientationSection:
         Standard deviation of ω, for parallaxes measured in the image, over that of flat ground under a
         normal-angle camera (y/z = 1/3).
     near_critical, weak : bool
-        |n| above the limit; ratio above the limit.
+        Size of n, or ratio, above the limit.
     """
 
     place: float

@@ -28,7 +28,7 @@ class OverCorrectionTable:
         h3/z1 of the rows, in the order of printing.
     h5 : tuple of float
         h5/z1 of the columns.
-    factors : ndarray, shape (rows, columns)
+    factors : ndarray (rows, columns)
         n; ±inf on the critical line.
     """
 

@@ -29,7 +29,7 @@ class PointTable:
         Image coordinates in both photographs (x right, y up, in mm), or places in the model (x along the base
         from the left projection centre, y across, h height above the level of the flying height, metres).
     names : tuple of str
-    values : ndarray, shape (n, 4) or (n, 3)
+    values : ndarray (n, 4) or (n, 3)
     """
 
     kind: Literal["image", "terrain"]

@@ -141,7 +141,7 @@ class Situation:
     ----------
     cycle : int
         From 1.
-    section : ndarray, shape (3, 2)
+    section : ndarray (3, 2)
         The cross-section by y, z, corrected point last.
     image_tangent : float
         Image ordinate over principal distance of the corrected point.

@@ -89,7 +89,7 @@ class StereoModel:
     Attributes
     ----------
     names : tuple of str
-    left, right : ndarray, shape (n, 3)
+    left, right : ndarray (n, 3)
         Image vectors in the camera frames, z negative.
     """
 

@@ -62,7 +62,7 @@ class EmpiricalRun:
     notes : tuple of StepNote
     settings : tuple of Setting
         At the start and after each cycle.
-    parallaxes : ndarray, shape (cycles + 1, n)
+    parallaxes : ndarray (cycles + 1, n)
         y-parallaxes of all points of the model at the start and after each cycle.
     outcome : str
         ``cleared``; ``converging`` or ``diverging`` when the cycles are used up; ``critical`` when the points
@@ -89,6 +89,6 @@ class EmpiricalRun:
 
     @property
     def largest(self) -> tuple[float, ...]:
-        """Largest |y-parallax| of the procedure's points at the start and after each cycle, metres."""
+        """Largest size of the procedure's y-parallaxes at the start and after each cycle, metres."""
         rows = [self.model.index(name) for name in self.procedure.points]
         return tuple(float(value) for value in np.abs(self.parallaxes[:, rows]).max(axis=1))

@@ -52,7 +52,7 @@ class EmpiricalOptions:
     cleared_ratio : float
         Largest parallax over flying height that counts as cleared: 1e-5 is 1.5 µm in a 15 cm photograph.
     critical_factor : float
-        |n| above which the tilt counts as not determined.
+        Size of n above which the tilt counts as not determined.
     """
 
     cycles: int = 4
@@ -340,7 +340,8 @@ def _judge(
     if not abs(amplification) <= options.critical_factor:
         return "critical", f"the points do not determine the tilt: its factor is {amplification:.3g}"
     depth = float(np.abs(model_points(model, setting)[:, 2]).mean())
-    if largest[-1] <= options.cleared_ratio * depth:
+    # An operator cannot tell a parallax from his own errors of setting and reading.
+    if largest[-1] <= max(options.cleared_ratio * depth, 5.0 * options.parallax_std):
         return "cleared", f"largest y-parallax {largest[-1]:.3g} m after {len(largest) - 1} cycles"
     if len(largest) > 2 and largest[-1] > largest[-2]:
         return "diverging", f"largest y-parallax grows from {largest[-2]:.3g} to {largest[-1]:.3g} m"
