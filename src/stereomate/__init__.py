@@ -12,6 +12,7 @@ __version__ = "0.1.0"
 
 # Public name -> module that defines it. A folder adds its names here.
 _PUBLIC: dict[str, str] = {
+    "StereoProduct": "stereomate.stereo.product",
     "grid_factors": "stereomate.frames.factors",
     "homogeneity": "stereomate.parallax.homogeneity",
     "overcorrection_factor": "stereomate.relative.overcorrection",

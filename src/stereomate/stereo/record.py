@@ -7,6 +7,7 @@ where they lie below it or beside it.
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 from pathlib import Path
 from typing import Any
@@ -172,7 +173,11 @@ def model_record(model: StereoModel) -> Record:
 
 def model_from_record(record: Record) -> StereoModel:
     """Inverse of `model_record`."""
-    return StereoModel(**record)
+    values = dict(record)
+    # JSON has no NaN: what a single photograph does not have is written as null.
+    if values["height_above_ground_m"] is None:
+        values["height_above_ground_m"] = math.nan
+    return StereoModel(**values)
 
 
 def height_model_record(model: HeightModel, folder: Path) -> Record:

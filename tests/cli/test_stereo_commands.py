@@ -1,0 +1,168 @@
+"""`stereomate measure`, `homogeneity` and `laws` on a small survey that is really run."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+
+import numpy as np
+import pytest
+import rasterio
+from typer.testing import CliRunner
+
+import stereomate
+from stereomate.cli.main import application
+from stereomate.errors import FormatError, InputError
+from stereomate.formats.measured_pairs import read_measured_pairs
+from stereomate.formats.vector import read_features
+from stereomate.stereo.lineage import LineageRule
+from stereomate.synthetic.files import write_survey
+from stereomate.synthetic.options import SurveyOptions
+from stereomate.synthetic.survey import make_survey
+
+OPTIONS = SurveyOptions(
+    seed=3,
+    strips=1,
+    photos_per_strip=3,
+    size_px=(160, 120),
+    gsd_m=1.0,
+    flying_height_m=200.0,
+    pixel_pitch_mm=0.2,
+    relief_m=30.0,
+    terrain_step_m=4.0,
+    buildings=3,
+    trees=10,
+    control_points=2,
+    check_points=2,
+)
+
+
+def run(*arguments) -> str:
+    result = CliRunner().invoke(application(), [str(a) for a in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("stereo")
+    survey = make_survey(OPTIONS)
+    files = write_survey(survey, folder)
+    result = CliRunner().invoke(
+        application(),
+        ["--threads", "1", "--quiet", "run", str(files.project), "--out", str(folder / "out")],
+    )
+    assert result.exit_code == 0, result.output
+    return survey, files, folder / "out"
+
+
+def write_pairs(path, product, count=20):
+    """Positions on both products of ground points, as the law puts them, and where they are."""
+    job = product.job
+    cols, rows = job.grid.size
+    rng = np.random.default_rng(1)
+    pixels = np.array([cols, rows]) * rng.uniform(0.35, 0.65, (count, 2))
+    left = job.grid.map_from_pixel(pixels)
+    heights = job.heights.heights_at(left)
+    shift = np.stack([job.law.q(heights), np.zeros(count)], axis=-1)
+    right = job.grid.map_from_uv(job.grid.uv_from_map(left) - shift)
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["name", "left_x", "left_y", "right_x", "right_y"])
+        for k in range(count):
+            writer.writerow([f"P{k}", *left[k].tolist(), *right[k].tolist()])
+    return np.column_stack([left, heights])
+
+
+def test_measure_a_table(made, tmp_path):
+    """Ground points come back at the height model; lineage by raster and by rule agree."""
+    _, _, out = made
+    product = stereomate.StereoProduct.open(out / "stereo.json")
+    truth = write_pairs(tmp_path / "pairs.csv", product)
+    text = run("measure", out, tmp_path / "pairs.csv", "--out", tmp_path / "points.csv")
+    assert "‰ of the flying height" in text
+    with (tmp_path / "points.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    known = [k for k, row in enumerate(rows) if row["height"]]
+    assert len(known) > 10
+    found = np.array([[float(rows[k][c]) for c in ("easting", "northing", "height")] for k in known])
+    np.testing.assert_allclose(found, truth[known], atol=2e-4)
+    run("measure", out, tmp_path / "pairs.csv", "--out", tmp_path / "points.gpkg")
+    layer = read_features(tmp_path / "points.gpkg")
+    assert len(layer.features) == len(known)
+    assert layer.features[0].geometry.has_z
+    record = json.loads(run("measure", out, tmp_path / "pairs.csv", "--json"))
+    assert record["summary"]["points"] == 20
+    pairs = read_measured_pairs(tmp_path / "pairs.csv")
+    rule = LineageRule(product.job)
+    measured = product.measure(pairs.left, pairs.right)
+    for side, xy in enumerate((pairs.left, pairs.right)):
+        by_rule = rule.photographs(side, product.job.grid.pixel_from_map(xy)) - 1
+        np.testing.assert_array_equal(measured.photographs[:, side], by_rule)
+    both = product.measure_object((pairs.left, pairs.right), (pairs.left, pairs.right))
+    np.testing.assert_allclose(both.heights[measured.measured], 0.0, atol=1e-12)
+
+
+def test_products_and_height_model_that_do_not_belong_together(made, tmp_path):
+    _, _, out = made
+    folder = tmp_path / "copy"
+    shutil.copytree(out.parent, folder)
+    stereomate.StereoProduct.open(folder / "out")
+    with rasterio.open(folder / "out" / "mate.tif", "r+", IGNORE_COG_LAYOUT_BREAK="YES") as file:
+        file.update_tags(edited="yes")
+    with pytest.raises(FormatError, match=r"mate\.tif"):
+        stereomate.StereoProduct.open(folder / "out")
+    stereomate.StereoProduct.open(folder / "out", verify=False)
+    with rasterio.open(folder / "heights.tif", "r+") as file:
+        file.write(file.read() + 1.0)
+    with pytest.raises(InputError, match="height model"):
+        stereomate.StereoProduct.open(folder / "out")
+    with pytest.raises(FormatError, match="product"):
+        stereomate.StereoProduct.open(folder / "out", "no such", verify=False)
+
+
+def test_bad_tables(tmp_path):
+    path = tmp_path / "pairs.csv"
+    path.write_text("left_x,left_y,right_x\n1,2,3\n")
+    with pytest.raises(FormatError, match="columns"):
+        read_measured_pairs(path)
+    path.write_text("left_x;left_y;right_x;right_y\n1;2;3;x\n")
+    with pytest.raises(FormatError, match="row 1: right_y"):
+        read_measured_pairs(path)
+
+
+def test_homogeneity_of_a_project(made, tmp_path):
+    _, files, _ = made
+    text = run("homogeneity", files.project, "--object-height", "5,10", "--out", tmp_path, "--json")
+    found = json.loads(text[text.index("[") :])
+    assert [s["object_height_m"] for s in found] == [5.0, 10.0]
+    for summary in found:
+        assert 0.0 < summary["within_10_percent"] <= 1.0
+        assert (tmp_path / summary["file"]).is_file()
+        assert (tmp_path / summary["file"]).with_suffix(".png").is_file()
+    assert "Object heights read through a law" in run(
+        "homogeneity", files.project, "--object-height", "5", "--out", tmp_path
+    )
+
+
+def test_laws_of_a_project(made, tmp_path):
+    _, files, _ = made
+    text = run("laws", files.project, "--figure", tmp_path / "laws.png")
+    assert "recommended: " in text
+    assert (tmp_path / "laws.png").stat().st_size > 10_000
+    record = json.loads(run("laws", files.project, "--json"))[0]
+    assert {law["law"]["kind"] for law in record["laws"]} >= {"linear", "logarithmic", "natural"}
+    assert record["recommended"]["base_m"] == pytest.approx(OPTIONS.base_m, rel=0.2)
+
+
+def test_table_and_diagram(tmp_path):
+    text = run("homogeneity", "table")
+    assert "-35.71 / 34.51" in text
+    line = run("homogeneity", "table", "--case", "100,200,0,0.05", "--slopes", "0,0", "--law", "linear")
+    assert "5.26 / 0.00" not in line
+    assert "-5.00 / 0.00" not in line
+    run("homogeneity", "diagram", "--figure", tmp_path / "fig2.svg")
+    assert (tmp_path / "fig2.svg").read_text().startswith("<?xml")
