@@ -72,9 +72,6 @@ def test_a_real_block_fixed_for_cartesian_software(data_folder, tmp_path):
     """M4's files, taken as a Cartesian grid, give the rigorous points: +0.019 m, not -0.009 m."""
     for file in (data_folder / "ign_borea_A").iterdir():
         shutil.copyfile(file, tmp_path / file.name)
-    camera = (
-        "size_px = [26460, 17004]\nprincipal_distance_px = 30975.0\nprincipal_point_px = [13210.0, 8502.0]"
-    )
     common = """
 [project]
 crs = "EPSG:2154"

@@ -292,7 +292,7 @@ def _ranking_table(result: Audit) -> Any:
     for h in result.ranked[:10]:
         rows.append(
             (
-                WORK_WORDS[h.work],
+                WORK_WORDS[h.work] + ("" if h.attitude == result.best.attitude else f"; {h.attitude.name}"),
                 h.heights.text.rsplit("/", 1)[-1],
                 h.reference_heights.text.rsplit("/", 1)[-1],
                 f"{h.image_rms_px[0]:.3f}/{h.image_rms_px[1]:.3f}",

@@ -239,6 +239,8 @@ def _draw_scores(axes: Axes, result: Audit) -> None:
             f"{WORK_WORDS[h.work]}\n{h.heights.text.rsplit('/', 1)[-1]} / "
             f"{h.reference_heights.text.rsplit('/', 1)[-1]}{height}, {np.hypot(*h.image_rms_px):.3f} px"
         )
+        if h.attitude != result.best.attitude:
+            text += f", {h.attitude.name}"
         axes.text(0.115, y + 0.16, text, va="bottom", fontsize=6.5, color=INK)
         axes.text(value * 1.1, y, f"{h.score - result.best.score:.1f}", va="center", fontsize=6.5)
     for limit, name in limits[:3]:
