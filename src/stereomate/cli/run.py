@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,6 +12,9 @@ from stereomate.cli.logs import log_to_file
 from stereomate.cli.output import print_json
 from stereomate.cli.progress import progress_of
 from stereomate.cli.settings import Settings
+
+if TYPE_CHECKING:
+    from stereomate.project.run import RunResult
 
 
 def register(app: typer.Typer) -> None:
@@ -51,18 +54,21 @@ def _run(
         stereo=not ortho_only,
         agreement=not no_agreement,
         fresh=fresh,
+        strict=strict,
     )
     with log_to_file(out / "run.log"), progress_of(settings, as_json) as progress:
-        result = run(loaded, out, options, progress)
-        if not result.up_to_date:
-            # The figures' libraries take memory that the tiles need first.
-            from stereomate.project.documents import write_documents
-
-            write_documents(result, started)
+        result = run(loaded, out, options, progress, lambda made: _write_documents(made, started))
     if as_json:
         print_json(summary_record(result))
     elif settings.verbosity >= 0:
         _print_summary(summary_record(result))
+
+
+def _write_documents(result: RunResult, started: float) -> list[Path]:
+    # The figures' libraries take memory that the tiles need first.
+    from stereomate.project.documents import write_documents
+
+    return write_documents(result, started)
 
 
 def _print_summary(summary: dict[str, object]) -> None:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import shapely
 
 from stereomate.coverage.survey import Survey
-from stereomate.errors import ProjectError
+from stereomate.errors import InputError, ProjectError
 from stereomate.frames.adjusted import GridAdjustment
 from stereomate.frames.mapframe import MapFrame
 from stereomate.frames.tangent import TangentFrame
@@ -109,3 +110,27 @@ class Project:
         if self.heights is None:
             raise ProjectError("must be given to make products", file=self.path, field="terrain")
         return self.heights
+
+    def without(self, name: str, error: InputError) -> Project:
+        """The project without a photograph, for a reason that is kept in `problems` and `notes`.
+
+        Raises
+        ------
+        InputError
+            `error` itself, if no photograph or none of a pair that was asked for would be left.
+        """
+        index = self.survey.index(name)
+        kept = [k for k in range(len(self.survey.photographs)) if k != index]
+        if not kept or (self.pairs is not None and any(name in pair for pair in self.pairs)):
+            raise error
+        path = self.survey.photographs[index].path
+        photographs = tuple(self.survey.photographs[k] for k in kept)
+        return replace(
+            self,
+            survey=replace(self.survey, photographs=photographs),
+            infos={other: info for other, info in self.infos.items() if other != name},
+            ground=None if self.ground is None else self.ground.of(np.array(kept)),
+            inputs=tuple(i for i in self.inputs if i.path != path),
+            problems=(*self.problems, PhotoProblem(name, error)),
+            notes=(*self.notes, f"left out: {error}"),
+        )

@@ -13,6 +13,7 @@ import numpy as np
 from stereomate import __version__
 from stereomate.project.run import ProductResult, RunResult
 from stereomate.rectify.job import RectifyJob
+from stereomate.rectify.layout import StereoModel
 from stereomate.report.page import Picture, ReportContent, Section, Table, write_report
 from stereomate.report.run_figures import (
     law_figure,
@@ -151,15 +152,22 @@ def _grid_text(job: RectifyJob) -> str:
 
 def _law_text(job: RectifyJob) -> str:
     law = job.law
-    residual = max((abs(m.base_v_m) for m in job.models if m.right >= 0 and m.penalty < 0.7), default=0.0)
-    depth = float(np.median([m.height_above_ground_m for m in job.models if m.right >= 0]))
-    y = residual * job.options.object_height_m / depth / job.frame.unit_m / job.grid.gsd
+    y = max((_object_y_parallax(job, m) for m in job.models if m.right >= 0 and m.penalty < 0.7), default=0.0)
     q_low, q_high = (float(q) / job.grid.gsd for q in law.q(list(job.height_range)))
     return (
         f"{law.kind.capitalize()} law with nominal base {law.base_m:.2f} m, w0 {law.w0_m:.2f} m above the "
         f"reference level {law.reference_m:.2f} m: parallaxes of {q_low:.1f} to {q_high:.1f} pixels. "
         f"An object {job.options.object_height_m:g} m high shows at most {y:.2f} pixels of y-parallax."
     )
+
+
+def _object_y_parallax(job: RectifyJob, model: StereoModel) -> float:
+    """y-parallax in pixels that an object of the declared height shows in a model (`rectify.layout`)."""
+    height = job.options.object_height_m
+    depth = model.height_above_ground_m - height
+    if depth <= 0.0:
+        return math.inf
+    return abs(model.base_v_m) * height / depth / job.frame.unit_m / job.grid.gsd
 
 
 def _agreement_table(agreement: Agreement) -> Table:

@@ -6,18 +6,19 @@ the run lasts; a run that was killed goes on from there and gives the same bytes
 
 from __future__ import annotations
 
-import hashlib
 import logging
-import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
 from stereomate import __version__
 from stereomate.coverage.summary import Coverage, survey_coverage
-from stereomate.errors import ProjectError
+from stereomate.coverage.survey import Photograph
+from stereomate.errors import ImageError, ProjectError
+from stereomate.project.inputs import file_digest
 from stereomate.project.model import Project
+from stereomate.project.output import OutputFolder
 from stereomate.raster.cog import BandStatistics, Georeference, assemble_cog
 from stereomate.raster.files import storing
 from stereomate.rectify.job import RectifyJob
@@ -29,7 +30,6 @@ from stereomate.stereo.product import (
     ProductFiles,
     StereoProduct,
     product_record,
-    read_document,
     write_stereo_json,
 )
 from stereomate.tiles import executor as tiles
@@ -38,7 +38,6 @@ from stereomate.tiles.plan import TilePlan
 
 LOG = logging.getLogger(__name__)
 
-WORKSPACE: Final = ".stereomate"
 # Windows in which left and right are matched, and their edge in pixels.
 AGREEMENT_WINDOWS: Final = 12
 AGREEMENT_PX: Final = 512
@@ -66,6 +65,8 @@ class RunOptions:
         Tiles per side of a chunk.
     fresh : bool
         Forget what an earlier run left, and make everything anew.
+    strict : bool
+        A photograph that turns out unreadable stops the run instead of being left out.
     """
 
     threads: int = 1
@@ -75,6 +76,7 @@ class RunOptions:
     agreement: bool = True
     chunk_tiles: int = 2
     fresh: bool = False
+    strict: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +119,9 @@ class RunResult:
     key: str
     up_to_date: bool = False
     notes: tuple[str, ...] = field(default=())
+
+
+DocumentWriter = Callable[[RunResult], Sequence[Path]]
 
 
 def plan(project: Project, options: RunOptions) -> tuple[Coverage, list[RectifyJob]]:
@@ -176,8 +181,23 @@ def common_pixels(project: Project) -> tuple[tuple[int, ...], str]:
     return tuple(band - 1 for band in asked), str(infos[0].dtype)
 
 
-def run(project: Project, out: Path, options: RunOptions, progress: ProgressSink | None = None) -> RunResult:
+def run(
+    project: Project,
+    out: Path,
+    options: RunOptions,
+    progress: ProgressSink | None = None,
+    documents: DocumentWriter | None = None,
+) -> RunResult:
     """Make all products of a project.
+
+    A photograph whose pixels cannot be read is left out and the rest made anew, unless the run is strict.
+    Files of an earlier run in `out` that this one does not make again are removed.
+
+    Parameters
+    ----------
+    documents : callable, optional
+        Writes what lies beside the rasters, and returns it. Called before stereo.json is written, which says
+        that all is done.
 
     Raises
     ------
@@ -187,19 +207,48 @@ def run(project: Project, out: Path, options: RunOptions, progress: ProgressSink
     report = progress or (lambda stage, done, total: None)
     with storing(out):
         out.mkdir(parents=True, exist_ok=True)
+    place = OutputFolder(out)
+    if options.fresh:
+        place.forget()
+    strict = options.strict or project.options.strict
+    unreadable = {} if strict or options.fresh else place.unreadable(project)
+    for name in unreadable:
+        project = project.without(name, _same_as_before(project, name))
+    while True:
+        try:
+            return _run(project, place, options, report, (documents, unreadable))
+        except ImageError as error:
+            bad = _photograph_of(project, error)
+            if strict or bad is None or bad.path is None:
+                raise
+            project = project.without(bad.name, error)
+            LOG.warning("left out: %s", error)
+            unreadable[bad.name] = file_digest(bad.path)
+
+
+def _run(
+    project: Project,
+    place: OutputFolder,
+    options: RunOptions,
+    report: ProgressSink,
+    beside: tuple[DocumentWriter | None, dict[str, str]],
+) -> RunResult:
+    out, (documents, unreadable) = place.out, beside
     report("plan", 0, 1)
     coverage, jobs = plan(project, options)
     report("plan", 1, 1)
     key = _definition_key(project, jobs, options, out)
-    if options.fresh:
-        shutil.rmtree(out / WORKSPACE, ignore_errors=True)
-    elif _is_made(out, key):
+    if not options.fresh and place.is_made(key):
         LOG.info("%s is up to date", out)
         return RunResult(out, project, (), coverage, key, up_to_date=True)
+    place.note_unreadable(unreadable)
     try:
-        results = tuple(_make_product(job, out, key, options, report) for job in jobs)
+        results = tuple(_make_product(job, place, key, options, report) for job in jobs)
     finally:
         close_readers()
+    result = RunResult(out, project, results, coverage, key)
+    written = [] if documents is None else documents(result)
+    place.remove_stale({name for r in results for name in r.product.files.hashes} | {p.name for p in written})
     write_stereo_json(
         out / "stereo.json",
         [r.product for r in results],
@@ -208,10 +257,25 @@ def run(project: Project, out: Path, options: RunOptions, progress: ProgressSink
             "project": project.name,
             "notes": list(project.notes),
             "inputs": [{"role": i.role, "file": i.path.name, "digest": i.digest} for i in project.inputs],
+            "documents": sorted(path.name for path in written),
+            "unreadable": unreadable,
         },
     )
-    shutil.rmtree(out / WORKSPACE, ignore_errors=True)
-    return RunResult(out, project, results, coverage, key)
+    place.forget()
+    return result
+
+
+def _photograph_of(project: Project, error: ImageError) -> Photograph | None:
+    """The photograph that an error is about."""
+    for photograph in project.survey.photographs:
+        if photograph.path is not None and str(photograph.path) == str(error.file):
+            return photograph
+    return None
+
+
+def _same_as_before(project: Project, name: str) -> ImageError:
+    path = project.survey.photographs[project.survey.index(name)].path
+    return ImageError("could not be read by the run before, and is the same file", file=path)
 
 
 def _definition_key(project: Project, jobs: list[RectifyJob], options: RunOptions, out: Path) -> str:
@@ -227,27 +291,14 @@ def _definition_key(project: Project, jobs: list[RectifyJob], options: RunOption
     )
 
 
-def _is_made(out: Path, key: str) -> bool:
-    path = out / "stereo.json"
-    if not path.is_file():
-        return False
-    document = read_document(path)
-    if document.get("run", {}).get("key") != key:
-        return False
-    for record in document["products"]:
-        for name, digest in record["sha256"].items():
-            if not (out / name).is_file() or _digest(out / name) != digest:
-                return False
-    return True
-
-
 def _make_product(
-    job: RectifyJob, out: Path, key: str, options: RunOptions, report: ProgressSink
+    job: RectifyJob, place: OutputFolder, key: str, options: RunOptions, report: ProgressSink
 ) -> ProductResult:
+    out = place.out
     roles = _roles(job)
     layout = TilePlan(job.grid.size, job.options.blocksize, options.chunk_tiles)
     profile = product_profile(job, roles)
-    folder = out / WORKSPACE / f"tiles{_suffix(job)}"
+    folder = place.workspace / f"tiles{_suffix(job)}"
     ledger = Ledger.open(folder, run_key(key=key, product=job.name))
     task = ChunkTask(job, layout, profile)
     stage = f"tiles{_suffix(job)}"
@@ -261,19 +312,21 @@ def _make_product(
     files = {ORTHO: f"ortho{_suffix(job)}.tif", LINEAGE: f"lineage{_suffix(job)}.tif"}
     if job.is_stereo:
         files[MATE] = f"mate{_suffix(job)}.tif"
+    # From here on rasters of an earlier run are replaced: it is not made any more.
+    place.retire()
     statistics = {}
     for k, (name, file) in enumerate(files.items()):
         report(f"assembly{_suffix(job)}", k, len(files))
         used = lineage_profile(job) if name == LINEAGE else profile
-        place = Georeference(job.frame.crs, job.grid.affine, _metadata(job, name))
-        statistics[name] = assemble_cog(out / file, used, layout, ledger, name, place)
+        where = Georeference(job.frame.crs, job.grid.affine, _metadata(job, name))
+        statistics[name] = assemble_cog(out / file, used, layout, ledger, name, where)
     report(f"assembly{_suffix(job)}", len(files), len(files))
     agreement = None
     if job.is_stereo and options.agreement:
         report(f"agreement{_suffix(job)}", 0, 1)
         agreement = measure_agreement(job, sample_windows(job.grid.size, AGREEMENT_PX, AGREEMENT_WINDOWS))
         report(f"agreement{_suffix(job)}", 1, 1)
-    hashes = {file: _digest(out / file) for file in files.values()}
+    hashes = {file: file_digest(out / file) for file in files.values()}
     product = StereoProduct(
         job,
         ProductFiles(files[ORTHO], files[LINEAGE], files.get(MATE), hashes),
@@ -307,11 +360,6 @@ def _metadata(job: RectifyJob, name: str) -> dict[str, str]:
             "STEREOMATE_LAW": job.law.kind,
         }
     return items
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def summary_record(result: RunResult) -> dict[str, Any]:

@@ -53,12 +53,13 @@ class RectifyOptions:
     blocksize : int
         Side of a tile of the COG in pixels.
     overviews : bool
-        Write overviews.
+        Always true: a Cloud Optimized GeoTIFF has them.
     masking : "auto", "mask" or "nodata"
         How empty pixels are told: a mask band or a nodata value; auto takes nodata where `nodata` is given
         or the photographs are float, else a mask.
     nodata : float or None
-        Value of empty pixels.
+        Value of empty pixels; None with ``masking = "nodata"``: NaN for floats, else 0. A valid pixel of
+        this value is moved by one step.
     dtype : str or None
         Type of the products; None keeps that of the photographs.
     bands : tuple of int or None
@@ -128,6 +129,7 @@ class RectifyOptions:
         size = self.blocksize
         power = 128 <= size <= 4096 and size & (size - 1) == 0
         _require(power, "blocksize", "must be a power of two from 128 to 4096", self)
+        _require(self.overviews, "overviews", "must be true: a Cloud Optimized GeoTIFF has overviews", self)
         level, codec = self.compression_level, self.compression
         if level is not None:
             _require(codec in _LEVELS, "compression_level", f"has no meaning with {codec}: use quality", self)

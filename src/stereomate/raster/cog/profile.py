@@ -38,7 +38,8 @@ class CogProfile:
     level : int, optional
         zstd 1-22 (default 1), deflate 1-12 (6), JPEG and WebP quality 1-100 (90; WebP 100 is lossless).
     overviews : {"average", "nearest"}
-        Mean of the valid pixels among 2 x 2, or the first of them (for categories).
+        Mean of the valid pixels among 2 x 2, or the first of them (for categories, whose samples are never
+        moved).
     roles : tuple of str
         Colour of each band: "gray", "red", "green", "blue", "alpha", "undefined". Empty: red, green, blue for
         three bands, and the fourth undefined; else gray and undefined.
@@ -145,8 +146,11 @@ class CogProfile:
 
     @property
     def nudged(self) -> float:
-        """What a valid sample equal to nodata is stored as: the next value towards zero or upwards."""
-        if self.nodata is None or np.isnan(self.nodata):
+        """What a valid sample equal to nodata is stored as: the next value towards zero or upwards.
+
+        Categories (overviews "nearest") keep their values: there 0 in one of several bands means "none".
+        """
+        if self.nodata is None or np.isnan(self.nodata) or self.overviews == "nearest":
             return self.fill
         if self.dtype == "float32":
             return float(np.nextafter(np.float32(self.nodata), np.float32(0.0 if self.nodata else 1.0)))
