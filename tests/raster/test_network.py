@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import threading
@@ -73,6 +74,10 @@ def test_a_file_that_points_to_the_network_is_refused_without_asking(tmp_path, a
     assert paths == []
     # The same file does reach the network when nobody is careful, or the test would show nothing.
     subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", CARELESS, str(file)], capture_output=True, check=True
+        [sys.executable, "-W", "ignore", "-c", CARELESS, str(file)],
+        capture_output=True,
+        check=True,
+        # Without what careful code has put into the environment of this process.
+        env={k: v for k, v in os.environ.items() if not k.startswith(("GDAL_", "CPL_", "PROJ_"))},
     )
     assert paths

@@ -79,6 +79,8 @@ def test_an_error_of_the_ledger_stops_the_run(tmp_path, monkeypatch):
 
 def test_ctrl_c_stops_all_threads_and_keeps_what_is_finished(tmp_path):
     begun = []
+    # A shell that starts tests in the background has them ignore SIGINT.
+    previous = signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def task(chunk):
         begun.append(chunk.index)
@@ -87,8 +89,11 @@ def test_ctrl_c_stops_all_threads_and_keeps_what_is_finished(tmp_path):
         time.sleep(0.01)
         return content(chunk)
 
-    with pytest.raises(KeyboardInterrupt):
-        run(PLAN, task, Ledger.open(tmp_path, "k"), Threads(2))
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            run(PLAN, task, Ledger.open(tmp_path, "k"), Threads(2))
+    finally:
+        signal.signal(signal.SIGINT, previous)
     assert len(begun) < len(PLAN.chunks)
     assert not [t for t in threading.enumerate() if t.name.startswith("stereomate")]
     assert run(PLAN, content, Ledger.open(tmp_path, "k")).reused >= 4
