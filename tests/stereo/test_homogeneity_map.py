@@ -184,6 +184,7 @@ def test_a_plane_in_a_real_map(survey):
     assert np.nanmax(best) < 1e-3
 
 
+@pytest.mark.slow
 def test_law_readings_are_wrong_by_what_the_map_says(survey):
     """Tree tops measured without noise, read through the law: the error of the map, within a tenth."""
     job = make_job(survey, height_model(survey))

@@ -67,7 +67,7 @@ def steep_product(survey):
     return job, points, *product_positions(job, points)
 
 
-PRODUCTS = ("true_product", "wrong_product", "steep_product")
+PRODUCTS = ("true_product", pytest.param("wrong_product", marks=pytest.mark.slow), "steep_product")
 
 
 @pytest.mark.parametrize("name", PRODUCTS)
@@ -110,6 +110,7 @@ def test_with_noise(name, request):
     assert (np.abs(error.mean(axis=0)) < 3.0 * spread).all()
 
 
+@pytest.mark.slow
 def test_the_map_frame_of_the_covariance(true_product):
     """Covariance in the map against differences of the whole chain by each measured coordinate."""
     job, _, _, left, right, _ = true_product

@@ -158,7 +158,7 @@ def draw_homogeneity_map(
         share = float((seen[served] == 3.0).mean()) if served.any() else float("nan")
         figure.suptitle(
             f"Objects of {object_height_m:g} m; seen in both photographs on {share:.1%} of the area "
-            "(dark: not seen by both)",
+            "(grey: not seen by both, or no model)",
             fontsize=10.0,
             color=INK,
         )
