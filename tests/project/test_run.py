@@ -234,7 +234,7 @@ def test_a_changed_file_or_a_missing_report_is_made_again(copy):
 def test_fresh_makes_the_same_bytes_again(copy):
     project, out = copy
     before = contents(out)
-    result = make(project, out, fresh=True)
+    result = make(project, out, report=True, fresh=True)
     assert not result.up_to_date
     assert result.products[0].chunks_reused == 0
     after = contents(out)
@@ -573,7 +573,9 @@ def test_an_unwritable_place(survey, tmp_path, capsys):
     assert contents(tmp_path) == before
 
 
-@pytest.mark.parametrize("victim", ["mate.tif", "report.html", "stereo.json"])
+@pytest.mark.parametrize(
+    "victim", ["mate.tif", "stereo.json", pytest.param("report.html", marks=pytest.mark.slow)]
+)
 def test_a_full_disk_leaves_no_half_file_and_the_run_goes_on(copy, capsys, monkeypatch, victim):
     import stereomate.raster.files as files
 
