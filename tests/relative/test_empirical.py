@@ -401,7 +401,7 @@ def test_formula_drawing_simulator_and_least_squares_agree_or_all_say_critical(t
     singular = np.linalg.svd(jacobian, compute_uv=False)
     if abs(n) > 50:
         # Near the circle all four say that it is badly determined.
-        assert drawing.d / abs(drawing.a) > 50
+        assert abs(drawing.factor) > 50
         assert abs(whole_factor(model, truth, dependent_pair())) > 20
         assert singular[-1] < 0.1 * singular[-2]
         return
