@@ -176,7 +176,7 @@ def model_points(pose: RelativePose, correspondences: Correspondences) -> Array:
     a, c = np.einsum("ij,ij->i", left, left), np.einsum("ij,ij->i", right, right)
     d = np.einsum("ij,ij->i", left, right)
     lb, rb = left @ pose.base, right @ pose.base
-    sine2 = np.maximum(a * c - d * d, 1e-300)
+    sine2 = np.maximum(a * c - d * d, 1e-12)
     near_left, near_right = (c * lb - d * rb) / sine2, (d * lb - a * rb) / sine2
     middle = 0.5 * (left * near_left[:, None] + pose.base + right * near_right[:, None])
     view = -(np.array([0.0, 0.0, 1.0]) + pose.left_from_right[:, 2])

@@ -44,7 +44,7 @@ def distances_along_left(pose: RelativePose, correspondences: Correspondences) -
     right = np.column_stack([correspondences.right, -np.ones(len(correspondences))]) @ pose.left_from_right.T
     a, c = np.einsum("ij,ij->i", left, left), np.einsum("ij,ij->i", right, right)
     d = np.einsum("ij,ij->i", left, right)
-    sine2 = np.maximum(a * c - d * d, 1e-300)
+    sine2 = np.maximum(a * c - d * d, 1e-12)
     distance: Array = (c * (left @ pose.base) - d * (right @ pose.base)) / sine2
     return distance
 
