@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import sys
 from pathlib import Path
 
@@ -38,6 +39,8 @@ napoleon_use_rtype = False
 # Fields of a dataclass are told once, where its docstring explains them.
 napoleon_use_ivar = True
 add_module_names = False
+# Fields like `path` belong to several classes; their names in lists of attributes are no links.
+suppress_warnings = ["ref.python"]
 python_use_unqualified_type_names = True
 
 html_theme = "furo"
@@ -201,8 +204,8 @@ def _write_pages(app: Sphinx, config: object) -> None:
 def _plain_bars(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
     """A bar means an absolute value in our docstrings, never a substitution."""
     for number, line in enumerate(lines):
-        if "`" not in line:
-            lines[number] = line.replace("|", "\\|")
+        spans = re.split(r"(``[^`]*``|`[^`]*`)", line)
+        lines[number] = "".join(t if t.startswith("`") else t.replace("|", r"\|") for t in spans)
 
 
 def setup(app: Sphinx) -> None:

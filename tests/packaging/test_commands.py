@@ -62,7 +62,7 @@ def run_page(folder: Path, page: Path) -> None:
 
 
 def complete_draft(folder: Path, said: str) -> None:
-    """After `init`: the calibration, which no file in the folder tells, comes from the survey's own project file."""
+    """After `init`: the calibration, which no photograph tells, comes from the survey's own project."""
     draft = folder / "photos" / "project.toml"
     if "to do" not in said or not draft.exists():
         return
