@@ -105,7 +105,7 @@ def _ours(left: Any, right: Any) -> Any:
     c = correspondences_from_photo(left, right, FOCAL_PX, NOISE_PX)
     found = robust_orientation(c)
     assert found.pose is not None
-    return adjust_coplanarity(c.select(found.inliers), found.pose)
+    return adjust_coplanarity(c, found.pose, use=found.inliers)
 
 
 def _whole(left: Any, right: Any) -> Any:
@@ -137,7 +137,7 @@ def _time_rows(n: int, outliers: float) -> list[dict[str, Any]]:
         ours += _milliseconds(_ours, left, right, repetitions)
         whole += _milliseconds(_whole, left, right, repetitions)
         for peer in PEERS:
-            peers[peer] += _peer_times(peer, left, right, max(2, repetitions // 3))
+            peers[peer] += _peer_times(peer, left, right, 1 if n > 50_000 else max(2, repetitions // 3))
     own, complete = statistics.median(ours), statistics.median(whole)
     rows = []
     measured = {peer: statistics.median(times) for peer, times in peers.items() if times}

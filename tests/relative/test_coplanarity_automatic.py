@@ -120,7 +120,8 @@ def test_command_writes_record_and_pictures(made_pair, tmp_path: Path, capsys):
         cv2.imwrite(str(tmp_path / name), image)
     camera = tmp_path / "camera.toml"
     camera.write_text(
-        '[[camera]]\nname = "made"\nprincipal_distance_mm = 3.0\nsize_px = [360, 300]\npixel_pitch_mm = 0.01\n'
+        '[[camera]]\nname = "made"\nprincipal_distance_mm = 3.0\n'
+        "size_px = [360, 300]\npixel_pitch_mm = 0.01\n"
     )
     left, right, blank = (str(tmp_path / name) for name in ("left.png", "right.png", "blank.png"))
     common = ["--camera", str(camera)]

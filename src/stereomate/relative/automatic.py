@@ -350,6 +350,7 @@ class _Pair:
             least_samples=o.search.least_samples,
             most_samples=o.search.most_samples,
             subset=o.search.subset,
+            widening=1.0,
             seed=o.search.seed,
         )
         return RelativeOptions(o.robust, search, o.adjustment, o.snooping, o.diagnosis)

@@ -36,6 +36,8 @@ class RobustOptions:
         Points on which hypotheses are scored.
     final_limit_sigmas : (float, float)
         Bounds of the limit for the final good points, which otherwise follows their estimated scatter.
+    widening : float
+        Factor by which the limit may grow where the noise turns out larger than stated.
     seed : int
         Of the random numbers.
     """
@@ -46,6 +48,7 @@ class RobustOptions:
     most_samples: int = 20000
     subset: int = 1000
     final_limit_sigmas: tuple[float, float] = (0.0, 1e9)
+    widening: float = 4.0
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -60,6 +63,8 @@ class RobustOptions:
         low, high = self.final_limit_sigmas
         if not 0.0 <= low <= high:
             raise InputError("must be two growing numbers", field="final_limit_sigmas", value=(low, high))
+        if not self.widening >= 1.0:
+            raise InputError("must be at least 1", field="widening", value=self.widening)
         if not 0 <= self.seed < 2**63:
             raise InputError("must be an integer from 0", field="seed", value=self.seed)
 
@@ -120,6 +125,7 @@ def robust_orientation(correspondences: Correspondences, options: RobustOptions 
             options.subset,
             3.0,
             *options.final_limit_sigmas,
+            options.widening,
         ]
     )
     base, rotation = np.array([1.0, 0.0, 0.0]), np.eye(3)

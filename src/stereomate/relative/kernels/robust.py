@@ -471,8 +471,9 @@ def robust_pose(
     """Search on a subset, then reweighted least squares over all points.
 
     `numbers`: limit in sigmas, confidence, least samples, most samples, subset size, last steps, smallest
-    and largest limit for the final inliers. `out` gets: samples, subset size, subset inliers, inliers, scale,
-    typical distance in bases, points in front. Returns False if nothing was found.
+    and largest limit for the final inliers, factor by which the limit may grow. `out` gets: samples, subset
+    size, subset inliers, inliers, scale, typical distance in bases, points in front. Returns False if
+    nothing was found.
     """
     n = left.shape[0]
     limit = numbers[0]
@@ -515,7 +516,7 @@ def robust_pose(
     var_l, var_r = np.array([vl]), np.array([vr])
     e = np.empty(9)
     first, second, rot = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    widest = 4.0 * limit
+    widest = numbers[8] * limit
     fine = refine(sub_left, sub_right, var_l, var_r, base, rotation, mix, odds, 2, widest, cofactor)
     while fine and mix[0] > limit * 1.02 and mix[0] < widest:
         # The noise is larger than stated: widen until the limit has found its place.
