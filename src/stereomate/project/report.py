@@ -52,7 +52,7 @@ def run_content(result: RunResult, seconds: float) -> ReportContent:
     sections = [_layout(result)]
     sections += [_product(result.out, made) for made in result.products]
     sections += [_pairs(result), _given(result), Section("Not modelled", items=NOT_MODELLED)]
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    memory = _peak_memory_mb()
     return ReportContent(
         title=project.name or project.path.stem,
         subtitle="Orthophoto and stereomate" if result.products[0].product.job.is_stereo else "Orthophoto",
@@ -239,3 +239,16 @@ def _given(result: RunResult) -> Section:
     items = tuple(project.notes) + tuple(f"left out: {problem.error}" for problem in project.problems)
     tables = (Table(("role", "file", "SHA-256"), rows, "Files that were read"),)
     return Section("Given and assumed", items=items, tables=tables)
+
+
+def _peak_memory_mb() -> float:
+    """Largest resident memory of this process.
+
+    Linux says it in /proc; ``ru_maxrss``, elsewhere, begins with the memory of whoever started the process.
+    """
+    status = Path("/proc/self/status")
+    if status.exists():
+        for line in status.read_text().splitlines():
+            if line.startswith("VmHWM:"):
+                return float(line.split()[1]) / 1024.0
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
