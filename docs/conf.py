@@ -125,9 +125,8 @@ def _heading(text: str, line: str) -> list[str]:
 
 
 def _public_modules(folder: Path) -> list[str]:
-    named = [
-        init.parent for init in sorted(folder.rglob("__init__.py")) if "__all__" in init.read_text("utf-8")
-    ]
+    inits = [path for path in sorted(folder.rglob("__init__.py")) if "kernels" not in path.parts]
+    named = [init.parent for init in inits if "__all__" in init.read_text("utf-8")]
     hidden = {path for parent in named for path in parent.rglob("*.py") if path.parent == parent}
     modules = [".".join(("stereomate", *parent.relative_to(PACKAGE).parts)) for parent in named]
     for path in sorted(folder.rglob("*.py")):
