@@ -134,7 +134,7 @@ def gimbal_from_dji(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Gimbal
     roll, pitch, yaw = np.deg2rad([roll_deg, pitch_deg, yaw_deg])
     body = rotation_z(yaw) @ rotation_y(pitch) @ rotation_x(roll) @ rotation_y(np.pi / 2)
     heading = math.degrees(math.atan2(body[1, 0], body[0, 0]))
-    theta = math.degrees(math.asin(min(1.0, max(-1.0, -body[2, 0]))))
+    theta = math.degrees(math.atan2(-body[2, 0], math.hypot(body[0, 0], body[1, 0])))
     bank = math.degrees(math.atan2(body[2, 1], body[2, 2]))
     # Rounded to what the camera writes, so that noise of 1e-15 does not reach a table.
     return Gimbal(round(bank, 6) + 0.0, round(theta, 6) + 0.0, round(heading, 6) + 0.0)

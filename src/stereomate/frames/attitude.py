@@ -181,11 +181,12 @@ def written_from_axes(rotation: ArrayLike, convention: AttitudeConvention) -> Ar
         angles = pok_from_rotation(r)
     else:
         n = _ENU_FROM_NED @ r @ convention.body_from_camera.T
-        pitch = -np.arcsin(np.clip(n[..., 2, 0], -1.0, 1.0))
+        level = np.hypot(n[..., 0, 0], n[..., 1, 0])
+        pitch = np.arctan2(-n[..., 2, 0], level)
         roll = np.arctan2(n[..., 2, 1], n[..., 2, 2])
         heading = np.arctan2(n[..., 1, 0], n[..., 0, 0])
         # At pitch ±90 degrees (a gimbal looking straight down) only heading ∓ roll is determined: roll is 0.
-        locked = np.hypot(n[..., 0, 0], n[..., 1, 0]) < 1e-12
+        locked = level < 1e-12
         roll = np.where(locked, 0.0, roll)
         heading = np.where(locked, np.arctan2(-n[..., 0, 1], n[..., 1, 1]), heading)
         angles = np.stack([roll, pitch, np.mod(heading, 2.0 * np.pi)], axis=-1)

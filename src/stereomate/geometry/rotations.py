@@ -50,10 +50,12 @@ def opk_from_rotation(rotation: ArrayLike) -> Array:
     At phi = ±pi/2 only the sum or difference of omega and kappa is determined; omega is then 0.
     """
     r = np.asarray(rotation, dtype=np.float64)
-    phi = np.arcsin(np.clip(r[..., 0, 2], -1.0, 1.0))
+    level = np.hypot(r[..., 0, 0], r[..., 0, 1])
+    # Not the arcsine, which near ±pi/2 turns a rounding of 1e-16 into an angle of 1.5e-8.
+    phi = np.arctan2(r[..., 0, 2], level)
     omega = np.arctan2(-r[..., 1, 2], r[..., 2, 2])
     kappa = np.arctan2(-r[..., 0, 1], r[..., 0, 0])
-    locked = np.hypot(r[..., 0, 0], r[..., 0, 1]) < 1e-12
+    locked = level < 1e-12
     if np.any(locked):
         omega = np.where(locked, 0.0, omega)
         kappa = np.where(locked, np.arctan2(r[..., 1, 0], r[..., 1, 1]), kappa)
@@ -67,11 +69,19 @@ def rotation_from_pok(pok: ArrayLike) -> Array:
 
 
 def pok_from_rotation(rotation: ArrayLike) -> Array:
-    """Angles (phi, omega, kappa) of ``R = Ry Rx Rz``, shape (..., 3), omega in [-pi/2, pi/2]."""
+    """Angles (phi, omega, kappa) of ``R = Ry Rx Rz``, shape (..., 3), omega in [-pi/2, pi/2].
+
+    At omega = ±pi/2 only the sum or difference of phi and kappa is determined; phi is then 0.
+    """
     r = np.asarray(rotation, dtype=np.float64)
-    omega = np.arcsin(np.clip(-r[..., 1, 2], -1.0, 1.0))
+    level = np.hypot(r[..., 1, 0], r[..., 1, 1])
+    omega = np.arctan2(-r[..., 1, 2], level)
     phi = np.arctan2(r[..., 0, 2], r[..., 2, 2])
     kappa = np.arctan2(r[..., 1, 0], r[..., 1, 1])
+    locked = level < 1e-12
+    if np.any(locked):
+        phi = np.where(locked, 0.0, phi)
+        kappa = np.where(locked, np.arctan2(-r[..., 0, 1], r[..., 0, 0]), kappa)
     return np.stack([phi, omega, kappa], axis=-1)
 
 

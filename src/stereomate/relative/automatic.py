@@ -363,6 +363,12 @@ class _Pair:
         count = int(np.count_nonzero(measured.used))
         if count < self.options.least_points:
             doubts.append(f"only {count} orientation points agree, {self.options.least_points} are needed")
+        share = self._spread(measured, left_px)
+        if share < self.options.least_spread:
+            doubts.append(
+                f"the orientation points span {100.0 * share:.0f} % of the overlap's width or height, "
+                f"{100.0 * self.options.least_spread:.0f} % are needed: no common texture in the rest"
+            )
         turn, tilt = features.pose.angles_to(measured.pose)
         covariance = features.adjustment.covariance + measured.adjustment.covariance
         allowed = 6.0 * math.sqrt(float(np.linalg.eigvalsh(covariance)[-1])) + math.radians(0.05)
@@ -370,12 +376,6 @@ class _Pair:
             doubts.append(
                 "features and least-squares matching give different orientations: "
                 f"{math.degrees(max(turn, tilt)):.2f}° apart, {math.degrees(allowed):.2f}° expected at most"
-            )
-        share = self._spread(measured, left_px)
-        if share < self.options.least_spread:
-            doubts.append(
-                f"the orientation points span {100.0 * share:.0f} % of the overlap's width or height, "
-                f"{100.0 * self.options.least_spread:.0f} % are needed: no common texture in the rest"
             )
         return tuple(doubts)
 

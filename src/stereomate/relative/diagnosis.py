@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from stereomate.errors import InputError
 from stereomate.geometry.rotations import rotation_from_vector
@@ -42,7 +42,7 @@ class DiagnosisOptions:
 
     largest_standard_deviation_deg: float = 2.0
     ambiguity: float = 25.0
-    points: int = 300
+    points: int = 200
     samples: int = 15
     significance: float = 1e-4
 
@@ -245,7 +245,7 @@ def _pure_rotation(
     residual = c.left + turned[:, :2] / turned[:, 2:]
     total = float(np.sum(residual**2)) / variance
     freedom = 2 * len(c) - 3
-    return math.sqrt(total / freedom), total < float(chi2.isf(options.significance, freedom))
+    return math.sqrt(total / freedom), total < float(chdtri(freedom, options.significance))
 
 
 def _flatness(model: Array, depth: float) -> float:
@@ -275,7 +275,7 @@ def _on_a_plane(c: Correspondences, variances: tuple[float, float], options: Dia
     magnification = np.abs(np.linalg.det(h) / w**3)
     variance = variances[0] + variances[1] * magnification
     total = float(np.sum(((u - p) ** 2 + (v - q) ** 2) / variance))
-    return total < float(chi2.isf(options.significance, max(2 * len(c) - 8, 1)))
+    return total < float(chdtri(max(2 * len(c) - 8, 1), options.significance))
 
 
 def _alternatives(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from typing import Any, Final
 
 import numpy as np
@@ -112,6 +113,7 @@ def parallax_picture(
         _arrow_key(axes, left.shape, unit)
         axes.set_axis_off()
         kept, out = int(used.sum()), int((~used).sum())
+        name = name if result.determined else f"{name} (NOT ORIENTED)"
         figure.suptitle(
             f"{name}\ny-parallaxes of {kept} points, {rms:.3f} px rms; {out} left out (red)", fontsize=8.5
         )
@@ -238,4 +240,4 @@ def _match_title(result: AutomaticOrientation, used: NDArray[np.bool_]) -> str:
     text = f"{int(used.sum())} points, coloured by their parallax; {int((~used).sum())} left out (red)"
     if result.determined:
         return text
-    return f"NOT ORIENTED: {result.reasons[0]}\n{text}"
+    return f"{textwrap.fill(f'NOT ORIENTED: {result.reasons[0]}', 95)}\n{text}"

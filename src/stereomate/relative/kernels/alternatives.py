@@ -98,6 +98,12 @@ def other_minimum(
         if not np.isfinite(costs[k]):
             continue
         total, _iterations, _state = adjust(
+            left, right, cov_left, cov_right, weight, bases[k], rotations[k], residual, cofactor, 3
+        )
+        # Three steps bring a start near a minimum; one that is far off the noise is no rival.
+        if total > 20.0 * m:
+            continue
+        total, _iterations, _state = adjust(
             left, right, cov_left, cov_right, weight, bases[k], rotations[k], residual, cofactor, 12
         )
         if not total < best or pose_distance(bases[k], rotations[k], base, rotation) < _SAME:
