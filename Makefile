@@ -38,14 +38,21 @@ demo: $(VENV)/.installed
 
 test: lint types contract docs fast bounds
 
-fast: $(VENV)/.installed $(VENV)/.dev
+# Tests in a real browser take Debian's; where that cannot be installed they say so and fail.
+$(VENV)/.browser: $(VENV)/.dev
+	@command -v chromium >/dev/null || { apt-get update -qq && \
+	    DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends chromium >/dev/null; } || \
+	    echo "Chromium is missing and could not be installed (apt-get install chromium): tests in the browser will fail" >&2
+	touch $@
+
+fast: $(VENV)/.installed $(VENV)/.dev $(VENV)/.browser
 	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -m "not real and not slow"
 
 # Kernels once more, compiled with numba's bounds checks.
 bounds: $(VENV)/.installed $(VENV)/.dev
 	STEREOMATE_BOUNDSCHECK=1 $(BIN)/python -m pytest -n $(JOBS) --dist worksteal -q -m "not real and not slow" tests/kernels
 
-test-real: $(VENV)/.installed $(VENV)/.dev
+test-real: $(VENV)/.installed $(VENV)/.dev $(VENV)/.browser
 	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -m "real or slow"
 
 lint: $(VENV)/.dev
@@ -75,7 +82,7 @@ lock: pyproject.toml
 	    $(VENV)/lock/bin/python -m pip install --quiet --disable-pip-version-check uv; }
 	$(LOCK) pyproject.toml -o requirements/core.txt
 	echo 'setuptools>=77' | $(LOCK) - -o requirements/build.txt
-	$(LOCK) --extra dev --extra dask --extra las --extra opf --extra colmap -c requirements/core.txt pyproject.toml -o requirements/dev.txt
+	$(LOCK) --extra dev --extra dask --extra las --extra opf --extra colmap --extra pdf -c requirements/core.txt pyproject.toml -o requirements/dev.txt
 
 clean:
 	rm -rf $(VENV) build dist demo docs/_build docs/_generated
