@@ -16,7 +16,6 @@ from typing import Literal, get_args
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from scipy.interpolate import LinearNDInterpolator
 
 from stereomate.errors import InputError
 from stereomate.terrain.model import HeightModel
@@ -85,6 +84,9 @@ class SurfaceFeature:
             return np.full(x.shape, self.height)
         if self.geometry.geom_type == "LineString":
             return _heights_along(self.geometry, x, y)
+        # Half of the time a command takes to start would be this import, for features that few projects have.
+        from scipy.interpolate import LinearNDInterpolator
+
         vertices = shapely.get_coordinates(self.geometry, include_z=True)
         middle = vertices[:, :2].mean(axis=0)
         interpolate = LinearNDInterpolator(vertices[:, :2] - middle, vertices[:, 2])
