@@ -8,7 +8,7 @@ good matches pass.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +64,10 @@ class Matches:
 
     def __len__(self) -> int:
         return len(self.left)
+
+    def select(self, rows: NDArray[Any]) -> Matches:
+        """Some of the matches (indices or a mask)."""
+        return Matches(self.left[rows], self.right[rows], self.distance[rows], self.ratio[rows])
 
 
 def match_features(left: Features, right: Features, options: MatchOptions | None = None) -> Matches:

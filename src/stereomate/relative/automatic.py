@@ -10,81 +10,37 @@ and the least-squares measurements tell the same.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.camera.model import Camera
-from stereomate.errors import ImageError, InputError
-from stereomate.measurement.features import (
-    FeatureOptions,
-    Features,
-    detect_features,
-    grey_image,
-    reduced_image,
-)
-from stereomate.measurement.least_squares_matching import LeastSquaresOptions, match_least_squares
-from stereomate.measurement.matching import (
-    Matches,
-    MatchOptions,
-    match_features,
-    match_features_near,
-)
-from stereomate.relative.guiding import (
-    distances_along_left,
-    local_affine,
-    plane_normal,
-    predict_from_neighbours,
-)
+from stereomate.errors import ImageError
+from stereomate.measurement.features import Features, grey_image
+from stereomate.measurement.least_squares_matching import match_least_squares
+from stereomate.measurement.matching import Matches
+from stereomate.relative.feature_pairs import AutomaticOptions, FeaturePair, Prior, photo_features
+from stereomate.relative.guiding import distances_along_left, local_affine, plane_normal
 from stereomate.relative.orientation import RelativeOptions, RelativeOrientation, relative_orientation
-from stereomate.relative.pair import Correspondences, RelativePose, correspondences_from_pixels
+from stereomate.relative.pair import correspondences_from_pixels
 from stereomate.relative.robust import RobustOptions
+
+__all__ = [
+    "AutomaticOptions",
+    "AutomaticOrientation",
+    "Prior",
+    "orient_features",
+    "orient_photographs",
+    "photo_features",
+]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# A feature is located to about this part of a pixel of the image it was found in.
-_FEATURE_SIGMA_PX: Final = 0.35
 # What least-squares matching does not know of its own errors: relief within the window, aliasing.
 _WINDOW_SIGMA_PX: Final = 0.05
-
-
-@dataclass(frozen=True)
-class AutomaticOptions:
-    """Options of the steps, and what is asked of the result.
-
-    Parameters
-    ----------
-    largest_side_px : int
-        Features are looked for in images reduced by a whole number to at most this side.
-    features, matching, guided, least_squares, orientation
-        Options of the steps; `guided` for the second matching near the expected places.
-    guided_reach_px : float
-        Radius of the second search in the reduced image, beyond what the relief asks for.
-    least_points : int
-        Fewer orientation points are no orientation.
-    least_spread : float
-        Least share of the model's width and height over which the points must lie, of what the two
-        photographs have in common.
-    """
-
-    largest_side_px: int = 2200
-    features: FeatureOptions = field(default_factory=FeatureOptions)
-    matching: MatchOptions = field(default_factory=MatchOptions)
-    guided: MatchOptions = field(default_factory=lambda: MatchOptions(ratio=0.9))
-    least_squares: LeastSquaresOptions = field(default_factory=LeastSquaresOptions)
-    orientation: RelativeOptions = field(default_factory=RelativeOptions)
-    guided_reach_px: float = 6.0
-    least_points: int = 30
-    least_spread: float = 0.35
-
-    def __post_init__(self) -> None:
-        if self.largest_side_px < 200:
-            raise InputError("must be at least 200", field="largest_side_px", value=self.largest_side_px)
-        if self.least_points < 12:
-            raise InputError("must be at least 12", field="least_points", value=self.least_points)
 
 
 @dataclass(frozen=True)
@@ -127,25 +83,6 @@ class AutomaticOrientation:
         return float(np.sqrt(np.mean(statistics.sampson[statistics.used] ** 2)))
 
 
-@dataclass(frozen=True)
-class Prior:
-    """What is known of a pair beforehand.
-
-    Parameters
-    ----------
-    pose : RelativePose
-        Approximate relative orientation, from navigation or a former adjustment.
-    distance : float
-        Typical distance of the ground along the left camera's axis, in bases.
-    reach_px : float
-        How far, in pixels, a point may be from where these put it.
-    """
-
-    pose: RelativePose
-    distance: float
-    reach_px: float
-
-
 def orient_photographs(
     left: NDArray[Any],
     right: NDArray[Any],
@@ -186,7 +123,7 @@ def orient_photographs(
                 value=(image.shape[1], image.shape[0]),
             )
         grey.append(grey_image(image))
-    found = [_features(image, options) for image in grey]
+    found = [photo_features(image, options) for image in grey]
     pair = _Pair(grey[0], grey[1], left_camera, right_camera, found[0], found[1], options)
     return pair.orient(prior)
 
@@ -208,21 +145,6 @@ def orient_features(
     return pair.orient(prior)
 
 
-def photo_features(image: NDArray[np.uint8], options: AutomaticOptions | None = None) -> Features:
-    """Features of a grey photograph, in its own pixels, found in an image reduced as the options say."""
-    return _features(image, options or AutomaticOptions())
-
-
-def _reduction(image: NDArray[np.uint8], options: AutomaticOptions) -> int:
-    longest: int = max(image.shape)
-    return max(1, -(-longest // options.largest_side_px))
-
-
-def _features(image: NDArray[np.uint8], options: AutomaticOptions) -> Features:
-    factor = _reduction(image, options)
-    return detect_features(reduced_image(image, factor), options.features).scaled(float(factor))
-
-
 @dataclass(frozen=True)
 class _Pair:
     left: NDArray[np.uint8]
@@ -234,72 +156,18 @@ class _Pair:
     options: AutomaticOptions
 
     def orient(self, prior: Prior | None) -> AutomaticOrientation:
-        counts = {"left features": len(self.left_features), "right features": len(self.right_features)}
-        matches = self._first_matches(prior)
-        counts["matches"] = len(matches)
-        least = self.options.least_points
-        if len(matches) < least:
-            reason = f"only {len(matches)} matches, {least} are needed: no overlap or no common texture"
-            return _failed(reason, counts)
-        first = self._orientation(matches)
-        counts["matches that agree"] = int(np.count_nonzero(first.used))
-        if not first.determined:
-            return self._result(first, matches, counts, ())
-        matches = self._guided_matches(first, matches)
-        counts["guided matches"] = len(matches)
-        second = self._orientation(matches)
-        counts["guided matches that agree"] = int(np.count_nonzero(second.used))
-        if not second.determined or counts["guided matches that agree"] < least:
-            few = f"only {counts['guided matches that agree']} matches agree, {least} are needed"
-            return self._result(second, matches, counts, () if second.reasons else (few,))
-        return self._measured(second, matches, counts)
-
-    def _first_matches(self, prior: Prior | None) -> Matches:
-        if prior is None:
-            return match_features(self.left_features, self.right_features, self.options.matching)
-        rays = self.left_camera.rays_from_image(self.left_features.pixels)
-        points = rays * prior.distance
-        # A point expected just outside may still lie inside: only places behind the camera are left out.
-        pixels, _ = self.right_camera.image_from_camera(
-            (points - prior.pose.base) @ prior.pose.left_from_right
+        pair = FeaturePair(
+            self.left_camera, self.right_camera, self.left_features, self.right_features, self.options
         )
-        return match_features_near(
-            self.left_features, self.right_features, pixels, prior.reach_px, self.options.matching
-        )
-
-    def _factor(self) -> float:
-        return float(max(_reduction(self.left, self.options), _reduction(self.right, self.options)))
-
-    def _orientation(self, matches: Matches) -> RelativeOrientation:
-        return relative_orientation(self._correspondences(matches), self.options.orientation)
-
-    def _correspondences(self, matches: Matches) -> Correspondences:
-        return correspondences_from_pixels(
-            self.left_camera,
-            self.right_camera,
-            self.left_features.pixels[matches.left],
-            self.right_features.pixels[matches.right],
-            _FEATURE_SIGMA_PX * self._factor(),
-        )
-
-    def _guided_matches(self, first: RelativeOrientation, matches: Matches) -> Matches:
-        used = np.flatnonzero(first.used)
-        distance = distances_along_left(first.pose, first.adjustment.correspondences)
-        known = used[distance[used] > 0.0]
-        prediction = predict_from_neighbours(
-            self.left_camera,
-            self.right_camera,
-            first.pose,
-            self.left_features.pixels[matches.left[known]],
-            distance[known],
-            self.left_features.pixels,
-        )
-        reach = self.options.guided_reach_px * self._factor() + 1.5 * prediction.reach_px
-        reach = np.minimum(reach, 0.1 * max(self.right.shape))
-        guided = match_features_near(
-            self.left_features, self.right_features, prediction.pixels, reach, self.options.guided
-        )
-        return _united(guided, matches, first.used)
+        result = pair.orient(prior)
+        if result.orientation is None:
+            return _failed(result.reasons[0], result.counts)
+        if result.reasons:
+            own = result.orientation.reasons
+            return self._result(
+                result.orientation, result.matches, result.counts, () if own else result.reasons
+            )
+        return self._measured(result.orientation, result.matches, result.counts)
 
     def _measured(
         self, found: RelativeOrientation, matches: Matches, counts: dict[str, int]
@@ -433,16 +301,3 @@ def _without_repetitions(left_px: Array, good: Mask) -> Mask:
     kept = np.zeros(len(good), dtype=np.bool_)
     kept[rows[first]] = True
     return kept
-
-
-def _united(guided: Matches, first: Matches, used: Mask) -> Matches:
-    """Guided matches, and those of the first ones that agreed and whose points are still free."""
-    keep = used & ~np.isin(first.left, guided.left) & ~np.isin(first.right, guided.right)
-    rows = np.flatnonzero(keep)
-    order = np.argsort(np.concatenate([guided.left, first.left[rows]]), kind="stable")
-    return Matches(
-        np.concatenate([guided.left, first.left[rows]])[order],
-        np.concatenate([guided.right, first.right[rows]])[order],
-        np.concatenate([guided.distance, first.distance[rows]])[order],
-        np.concatenate([guided.ratio, first.ratio[rows]])[order],
-    )
