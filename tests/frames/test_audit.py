@@ -18,7 +18,7 @@ from stereomate.frames.audit.readings import HeightCandidate
 from stereomate.frames.audit.vertical import vertical_names
 from stereomate.frames.heights import HeightSystem
 from stereomate.frames.prediction.plan import FlightPlan, simulated_block
-from stereomate.frames.transform import map_from_tangent
+from stereomate.frames.transform import map_from_tangent, tangent_from_map
 from stereomate.geometry.rotations import rotation_z
 
 GRID = AttitudeConvention("opk", "grid")
@@ -150,6 +150,46 @@ def test_heights_in_feet(world):
     assert finding(result, "photos.heights").value == '"feet"'
     assert finding(result, "control.heights").value == '"ellipsoidal"'
     assert result.explained
+
+
+def test_several_errors_at_once(world):
+    """Gon for degrees, phi first, about true north, pixels turned by 180, heights in feet: all named."""
+    plan, block, observations = world
+    feet = ELLIPSOIDAL.in_unit(0.3048, "feet")
+    centres = map_from_tangent(plan.tangent, plan.frame, block.centres)
+    centres[:, 2] += 40.0 * np.sin(np.arange(len(centres)))  # photographs of one flight are not all level
+    spoilt = replace(
+        written(world, AttitudeConvention("pok", "local", "gon"), positions=centres),
+        convention=GRID,
+    )
+    spoilt = replace(spoilt, attitudes=spoilt.attitudes[:, [1, 0, 2]])
+    # Images that belong to those centres, seen by a camera whose pixels are stored upside down.
+    true = tangent_from_map(plan.tangent, plan.frame, centres)
+    photo, point = observations.photo_of, observations.point_of
+    rays = np.einsum("mji,mj->mi", block.rotations[photo], block.points[point] - true[photo])
+    turned = replace(observations, image=-(rays[:, :2] / -rays[:, 2:]))
+    spoilt.positions[:, 2] /= 0.3048
+    result = result_of(world, spoilt, turned, (ELLIPSOIDAL, feet))
+    assert result.attitudes[0].total_px < 0.01
+    says = {f.key: f for f in result.findings}
+    assert says["photos.angles"].value == '"local"'
+    assert says["photos.angle_unit"].value == '"gon"'
+    assert says["photos.angle_order"].value == '"phi-omega-kappa"'
+    assert says["camera.rotation"].value == "180"
+    assert "feet" in says["photos.heights"].value
+    assert says["control.heights"].value == '"ellipsoidal"'
+    assert says["photos.adjusted_in"].value == '"space"'
+    assert result.explained
+    assert np.abs(result.best.control.mean).max() < 0.01
+
+
+def test_an_error_no_key_can_say_beside_one_that_can(world):
+    plan, block, _ = world
+    spoilt = written(world, AttitudeConvention("opk", "grid", "gon"), read_as=GRID)
+    result = result_of(world, replace(spoilt, attitudes=spoilt.attitudes * np.array([1.0, 1.0, -1.0])))
+    assert result.attitudes[0].reading.mistakes == 2
+    assert finding(result, "no key").value == "# kappa counts clockwise"
+    assert finding(result, "photos.angle_unit").value == '"gon"'
 
 
 def test_a_shift_that_no_candidate_explains(world):

@@ -293,8 +293,8 @@ def _ranking_table(result: Audit) -> Any:
         rows.append(
             (
                 WORK_WORDS[h.work] + ("" if h.attitude == result.best.attitude else f"; {h.attitude.name}"),
-                h.heights.text.rsplit("/", 1)[-1],
-                h.reference_heights.text.rsplit("/", 1)[-1],
+                h.heights.label,
+                h.reference_heights.label,
                 f"{h.image_rms_px[0]:.3f}/{h.image_rms_px[1]:.3f}",
                 _mean(h.points),
                 _mean(h.control),
@@ -341,7 +341,9 @@ def _hypothesis_dict(h: Hypothesis) -> dict[str, Any]:
         "work": h.work,
         "attitude": h.attitude.name,
         "heights": h.heights.text,
+        "heights_unit": h.heights.unit or None,
         "control_heights": h.reference_heights.text,
+        "control_heights_unit": h.reference_heights.unit or None,
         "image_rms_px": h.image_rms_px,
         "points": h.points,
         "control": h.control,

@@ -31,7 +31,8 @@ class HeightSystem:
     reference : str
         The vertical CRS or the path of the grid file.
     unit_m : float
-        Metres per unit of height. A vertical CRS carries its own unit, and this stays 1.
+        Metres per unit of height. A vertical CRS carries its own unit; with one this is its units per unit
+        that is written, 1 unless a file departs from it.
     """
 
     kind: HeightKind
@@ -116,7 +117,7 @@ class HeightSystem:
     def metres_per_unit(self) -> float:
         """Metres per unit of height, also of a vertical CRS."""
         if self.kind == "vertical_crs":
-            return float(parse(self.reference).axis_info[0].unit_conversion_factor)
+            return self.unit_m * float(parse(self.reference).axis_info[0].unit_conversion_factor)
         return self.unit_m
 
     def ellipsoidal_from_system(
@@ -142,8 +143,9 @@ class HeightSystem:
         """
         lon, lat, h = np.broadcast_arrays(*(np.asarray(part, dtype=np.float64) for part in (lon, lat, h)))
         if self.kind == "vertical_crs":
+            written = h * self.unit_m
             return vertical_heights(
-                geodetic or geodetic_of(WGS84), self.reference, lon, lat, h, to_ellipsoid=True
+                geodetic or geodetic_of(WGS84), self.reference, lon, lat, written, to_ellipsoid=True
             )
         if self.kind == "grid_file":
             return h * self.unit_m + self._undulation(lon, lat)
@@ -156,9 +158,8 @@ class HeightSystem:
         `ellipsoidal_from_system`."""
         lon, lat, h = np.broadcast_arrays(*(np.asarray(part, dtype=np.float64) for part in (lon, lat, h)))
         if self.kind == "vertical_crs":
-            return vertical_heights(
-                geodetic or geodetic_of(WGS84), self.reference, lon, lat, h, to_ellipsoid=False
-            )
+            datum = geodetic or geodetic_of(WGS84)
+            return vertical_heights(datum, self.reference, lon, lat, h, to_ellipsoid=False) / self.unit_m
         if self.kind == "grid_file":
             return (h - self._undulation(lon, lat)) / self.unit_m
         return h / self.unit_m

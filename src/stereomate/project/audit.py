@@ -27,6 +27,7 @@ from stereomate.project.reading import read_project_file
 from stereomate.project.schema import UNDECLARED, OrientationSection, ProjectFile
 from stereomate.project.turned import TurnAudit, audit_turns
 from stereomate.raster import open_photo
+from stereomate.units import FOOT
 
 Array = NDArray[np.float64]
 
@@ -113,14 +114,22 @@ def _audit_points(
     middle = plain.geodetic_from_map([*written.positions[:, :2].mean(axis=0), 0.0])
     lon, lat = float(middle[0]), float(middle[1])
     candidates = _height_candidates(file, path, frame, lon, lat)
-    result = _audited(file, block, observations, candidates)
-    if result.explained or not observations.known.any():
-        return result, candidates, ()
+    nothing_meets: InputError | None = None
+    try:
+        result = _audited(file, block, observations, candidates)
+    except InputError as error:
+        nothing_meets = error
+    else:
+        if result.explained or not observations.known.any():
+            return result, candidates, ()
     tried = {candidate.text for candidate in candidates}
     more = [candidate for candidate in world_geoids(frame, lon, lat) if candidate.text not in tried]
-    if more:
-        candidates = [*candidates, *more]
+    candidates = [*candidates, *more]
+    candidates += [candidate.in_unit(FOOT, "feet") for candidate in candidates]
+    try:
         result = _audited(file, block, observations, candidates)
+    except InputError as error:
+        raise nothing_meets or error from None
     return result, candidates, () if result.explained else tuple(vertical_names(lon, lat))
 
 
@@ -134,7 +143,7 @@ def _audited(
 
     def first(text: str | None) -> list[HeightCandidate]:
         declared = text or file.project.heights
-        return sorted(candidates, key=lambda c: c.text != declared)
+        return sorted(candidates, key=lambda c: (c.text != declared, c.unit != ""))
 
     control = file.control.heights if file.control else None
     return audit(block, observations, first(file.photos.heights), first(control))
@@ -297,7 +306,7 @@ def _height_candidates(
 
 def _relative(path: Path, folder: Path) -> str:
     try:
-        return path.relative_to(folder).as_posix()
+        return path.relative_to(folder.resolve()).as_posix()
     except ValueError:
         return str(path)
 

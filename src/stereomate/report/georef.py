@@ -236,8 +236,8 @@ def _draw_scores(axes: Axes, result: Audit) -> None:
         part = h.points or h.control
         height = "" if part is None else f", height {part.mean[2]:+.3f} m"
         text = (
-            f"{WORK_WORDS[h.work]}\n{h.heights.text.rsplit('/', 1)[-1]} / "
-            f"{h.reference_heights.text.rsplit('/', 1)[-1]}{height}, {np.hypot(*h.image_rms_px):.3f} px"
+            f"{WORK_WORDS[h.work]}\n{h.heights.label} / "
+            f"{h.reference_heights.label}{height}, {np.hypot(*h.image_rms_px):.3f} px"
         )
         if h.attitude != result.best.attitude:
             text += f", {h.attitude.name}"

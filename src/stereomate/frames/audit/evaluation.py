@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,9 @@ from stereomate.geometry.intersection import Rays, intersect_rays
 from stereomate.geometry.rotations import rotation_from_vector
 
 Array = NDArray[np.float64]
+
+# Rays that meet at all have done so by then.
+ITERATIONS: Final = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +100,7 @@ class Evaluator:
         heights: HeightCandidate,
         grid_height: float | None = None,
         turn: Array | None = None,
+        iterations: int = ITERATIONS,
     ) -> Intersected:
         """All points under a reading.
 
@@ -105,6 +110,9 @@ class Evaluator:
             Ellipsoidal height of the control, about which ``adjusted`` centres are scaled.
         turn : ndarray (3,), optional
             A common turn of all photographs in tangent axes, radians.
+        iterations : int
+            Of the intersection; 0 leaves the points nearest to their rays, which is enough to tell readings
+            that cannot be.
         """
         centres_map = self.centres_map(heights)
         if work == "adjusted":
@@ -116,7 +124,7 @@ class Evaluator:
         if turn is not None:
             rotations = rotation_from_vector(turn) @ rotations
         if work in ("space", "adjusted"):
-            found = self._meet(centres, rotations, self.observations.image)
+            found = self._meet(centres, rotations, self.observations.image, iterations)
             points = np.full(found.points.shape, np.nan)
             good = np.isfinite(found.points).all(axis=1)
             points[good] = map_from_tangent(self.tangent, self.ellipsoidal, found.points[good])
@@ -129,11 +137,13 @@ class Evaluator:
                 found = self._meet(block.grid_centres, block.grid_rotations, image)
         return Intersected(map_from_cartesian(self.ellipsoidal, found.points), found.residuals_px, found.lost)
 
-    def _meet(self, centres: Array, rotations: Array, image: Array) -> Intersected:
+    def _meet(
+        self, centres: Array, rotations: Array, image: Array, iterations: int = ITERATIONS
+    ) -> Intersected:
         obs = self.observations
         photo = obs.photo_of
         rays = Rays(obs.point_of, centres[photo], rotations[photo], image, 1.0 / obs.c_px)
-        met = intersect_rays(rays, len(obs.names))
+        met = intersect_rays(rays, len(obs.names), max_iterations=iterations)
         residuals = met.residuals * obs.c_px[:, None]
         below = np.isfinite(met.points).all(axis=1)
         # Rays that meet behind a camera are no points: collinearity does not see the sign of the depth.

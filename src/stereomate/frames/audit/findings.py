@@ -22,17 +22,22 @@ from stereomate.frames.audit.ranking import (
     decide,
     flying_height_m,
     ground_height,
+    ordered_attitudes,
     pattern_slope,
     rank_attitudes,
     rank_hypotheses,
 )
-from stereomate.frames.audit.readings import HeightCandidate, attitude_readings
+from stereomate.frames.audit.readings import HeightCandidate, attitude_readings, combined_readings
 from stereomate.frames.factors import grid_factors
 
 # Points that the many first trials use; the survivors are judged with all.
 _SAMPLE: Final = 250
 # Hypotheses that lie further behind in the sample are not computed with all points.
 _HOPELESS: Final = 1000.0
+# Above this the rays of no single reading meet, and errors are combined; first with few points.
+_MEET_PX: Final = 3.0
+_FEW: Final = 40
+_HOPEFUL: Final = 12
 _UNDECIDED: Final = 4.0
 _CERTAIN: Final = 25.0
 
@@ -129,7 +134,7 @@ def audit(
     used = observations.usable()
     small = Evaluator(block, used.sample(_SAMPLE))
     declared = (orientation_heights[0], reference_heights[0])
-    fits = rank_attitudes(small, attitude_readings(block.convention), declared[0])
+    fits = _attitude_fits(small, block, orientation_heights)
     allowed = [fit.reading for fit in fits if attitude_score(fit, fits[0]) < _CERTAIN][:3]
     pairs = [(o, r) for r in reference_heights for o in orientation_heights]
     pairs.sort(key=lambda pair: pair != declared)
@@ -142,7 +147,7 @@ def audit(
         pairs = [pair for pair in pairs if pair in kept or pair == declared]
     evaluator = Evaluator(block, used)
     ranked = rank_hypotheses(evaluator, allowed or [fits[0].reading], pairs)
-    reading = next(fit.reading for fit in fits if fit.reading.name.startswith("as declared"))
+    reading = attitude_readings(block.convention)[0]
     turn = common_turn(small, reading, declared[0])
     excess, slope = _scale_pattern(evaluator, ranked)
     sigma = accuracy_m(evaluator)
@@ -169,6 +174,24 @@ def audit(
         slope=slope,
         observations=used,
     )
+
+
+def _attitude_fits(
+    evaluator: Evaluator, block: WrittenBlock, heights: Sequence[HeightCandidate]
+) -> tuple[AttitudeFit, ...]:
+    """Single errors; where none makes the rays meet, several at once, and heights in another unit."""
+    fits = rank_attitudes(evaluator, attitude_readings(block.convention), heights[:1])
+    if fits[0].total_px < _MEET_PX:
+        return fits
+    units = {candidate.system.metres_per_unit: candidate for candidate in reversed(heights)}
+    other_units = list(units.values())
+    few = Evaluator(block, evaluator.observations.sample(_FEW))
+    readings = (*attitude_readings(block.convention), *combined_readings(block.convention))
+    first = rank_attitudes(few, readings, other_units, rough=True)
+    hopeful = [fit.reading for fit in first[:_HOPEFUL]]
+    again = rank_attitudes(evaluator, hopeful, other_units)
+    tried = {fit.reading.name: fit for fit in (*fits, *again)}
+    return ordered_attitudes(list(tried.values()))
 
 
 def _scale_pattern(evaluator: Evaluator, ranked: Sequence[Hypothesis]) -> tuple[float, PatternSlope | None]:
@@ -199,15 +222,23 @@ def _attitude_findings(fits: Sequence[AttitudeFit], undecided: list[str]) -> lis
     for fit in fits[1:]:
         if attitude_score(fit, best) < _UNDECIDED:
             undecided.append(
-                f"angles {fit.reading.name}: {fit.total_px:.3f} px, as good as {best.reading.name} with "
-                f"{best.total_px:.3f} px; the photographs are too nearly level, or flown too straight"
+                f"angles {fit.reading.name}: {fit.total_px:.3f} px against {best.total_px:.3f} px of the "
+                f"best ({best.reading.name}); the photographs are too nearly level, or flown too straight"
             )
     sentence = f"{best.reading.name}: image residuals {best.total_px:.3g} px"
-    if not best.reading.keys:
-        sure = certainty(attitude_score(second, best))
-        key = "photos (no key says it)"
-        return [Finding(key, f"# {best.reading.name}", sure, f"{sentence}; {_next(second)}")]
     found = []
+    if best.reading.unsaid:
+        words = ", ".join(best.reading.unsaid)
+        other = next((fit for fit in fits if fit.reading.unsaid != best.reading.unsaid), None)
+        margin = np.inf if other is None else attitude_score(other, best)
+        found.append(
+            Finding("photos (no key says it)", f"# {words}", certainty(margin), f"{sentence}; {_next(other)}")
+        )
+    elif not best.reading.keys:
+        sure = certainty(attitude_score(second, best))
+        found.append(
+            Finding("photos (no key says it)", f"# {best.reading.name}", sure, f"{sentence}; {_next(second)}")
+        )
     for key, value in best.reading.keys:
         other = next((fit for fit in fits if dict(fit.reading.keys).get(key) != value), None)
         margin = np.inf if other is None else attitude_score(other, best)
@@ -229,8 +260,8 @@ def _height_findings(
         return []
     found = []
     for key, word, part in (
-        ("photos.heights", "the orientation's heights", lambda h: h.heights.text),
-        ("control.heights", "the control's heights", lambda h: h.reference_heights.text),
+        ("photos.heights", "the orientation's heights", lambda h: h.heights.value),
+        ("control.heights", "the control's heights", lambda h: h.reference_heights.value),
     ):
         decision = decide(ranked, part)
         candidate = best.heights if key.startswith("photos") else best.reference_heights
@@ -241,9 +272,9 @@ def _height_findings(
             )
         else:
             sentence += "; every other kind that was tried is far off"
-        found.append(Finding(key, f'"{candidate.text}"', decision.sure, sentence))
-    same = [h for h in ranked if h.heights.text == h.reference_heights.text]
-    if len({h.heights.text for h in same if h.score < best.score + 4.0}) > 1:
+        found.append(Finding(key, candidate.value, decision.sure, sentence))
+    same = [h for h in ranked if h.heights.name == h.reference_heights.name]
+    if len({h.heights.name for h in same if h.score < best.score + 4.0}) > 1:
         undecided.append(
             "orientation and known points are in one height system; the data do not tell which (the geoid is "
             "too even over the block)"

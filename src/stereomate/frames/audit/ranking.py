@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.errors import InputError
-from stereomate.frames.audit.evaluation import Evaluator, Intersected
+from stereomate.frames.audit.evaluation import ITERATIONS, Evaluator, Intersected
 from stereomate.frames.audit.observations import AuditObservations
 from stereomate.frames.audit.readings import (
     ADJUSTED_IN,
@@ -115,17 +115,50 @@ class AttitudeFit:
 
 
 def rank_attitudes(
-    evaluator: Evaluator, readings: Sequence[AttitudeReading], heights: HeightCandidate
+    evaluator: Evaluator,
+    readings: Sequence[AttitudeReading],
+    heights: Sequence[HeightCandidate],
+    *,
+    rough: bool = False,
 ) -> tuple[AttitudeFit, ...]:
-    """Readings by their image residuals, the best first; equal ones in the order given."""
+    """Readings by their image residuals, the best first.
+
+    A reading has to earn each error it supposes: one that fits as well as another of fewer errors comes after
+    it, and equal ones stay in the order given.
+
+    Parameters
+    ----------
+    heights : sequence of HeightCandidate
+        Each reading is tried with all of them; the best fit counts.
+    rough : bool
+        Points are not adjusted: for a first choice among many.
+    """
     fits = []
     for reading in readings:
-        try:
-            rms = evaluator.intersect("space", reading, heights).rms_px
-        except InputError:  # coordinates that cannot be: the reading is no candidate
-            rms = (np.inf, np.inf)
-        fits.append(AttitudeFit(reading, rms))
-    return tuple(sorted(fits, key=lambda fit: round(fit.total_px, 6)))
+        found = [_attitude_rms(evaluator, reading, candidate, rough) for candidate in heights]
+        fits.append(AttitudeFit(reading, min(found, key=lambda rms: float(np.hypot(*rms)))))
+    return ordered_attitudes(fits)
+
+
+def ordered_attitudes(fits: Sequence[AttitudeFit]) -> tuple[AttitudeFit, ...]:
+    """Fits in the order of `rank_attitudes`."""
+    best = min(fits, key=lambda fit: fit.total_px)
+    if not np.isfinite(best.total_px):
+        return tuple(fits)
+
+    def order(fit: AttitudeFit) -> float:
+        return round(attitude_score(fit, best) + _UNDECIDED * fit.reading.mistakes, 6)
+
+    return tuple(sorted(fits, key=order))
+
+
+def _attitude_rms(
+    evaluator: Evaluator, reading: AttitudeReading, heights: HeightCandidate, rough: bool
+) -> tuple[float, float]:
+    try:
+        return evaluator.intersect("space", reading, heights, iterations=0 if rough else ITERATIONS).rms_px
+    except InputError:  # coordinates that cannot be: the reading is no candidate
+        return np.inf, np.inf
 
 
 def attitude_score(fit: AttitudeFit, best: AttitudeFit) -> float:

@@ -6,8 +6,10 @@ what a project file has to declare for it.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import Final, Literal
+from itertools import product
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,11 +57,31 @@ class HeightCandidate:
     name : str
         In words.
     system : HeightSystem
+    unit : str
+        Where the heights are in another unit than the project file can say: its name.
     """
 
     text: str
     name: str
     system: HeightSystem
+    unit: str = ""
+
+    @property
+    def value(self) -> str:
+        """What the project file has to say."""
+        if not self.unit:
+            return f'"{self.text}"'
+        return f'"{self.text}"  # multiply the heights by {self.system.unit_m:.10g}: they are in {self.unit}'
+
+    @property
+    def label(self) -> str:
+        """For tables: the last part of a path, and the unit where it is no metre."""
+        return self.text.rsplit("/", 1)[-1] + (f" in {self.unit}" if self.unit else "")
+
+    def in_unit(self, unit_m: float, unit: str) -> HeightCandidate:
+        """The same heights written in another unit."""
+        system = replace(self.system, unit_m=unit_m)
+        return HeightCandidate(self.text, f"{self.name} in {unit}", system, unit)
 
 
 @dataclass(frozen=True)
@@ -78,7 +100,11 @@ class AttitudeReading:
     clockwise : bool
         Kappa, or the heading, counts the other way round.
     keys : tuple of (str, str)
-        Keys of the project file and their values; empty if the file cannot say it.
+        Keys of the project file and their values.
+    unsaid : tuple of str
+        What no key of the project file can say.
+    mistakes : int
+        How many errors it supposes of the one who declared the orientation.
     """
 
     name: str
@@ -87,6 +113,8 @@ class AttitudeReading:
     wrong_convergence_sign: bool = False
     clockwise: bool = False
     keys: tuple[tuple[str, str], ...] = field(default=())
+    unsaid: tuple[str, ...] = ()
+    mistakes: int = 0
 
     def rotations(self, block: WrittenBlock, tangent: TangentFrame, centres: Array, frame: MapFrame) -> Array:
         """Rotations (p, 3, 3) from camera to tangent axes."""
@@ -107,70 +135,122 @@ class AttitudeReading:
         return rotations
 
 
+@dataclass(frozen=True)
+class _Mistake:
+    """One error in the declaration of attitudes, and how the project file is to be corrected.
+
+    Attributes
+    ----------
+    words : str
+    fields : mapping of str to object
+        Of the reading that differ; those of its convention in `convention`.
+    key : (str, str) or None
+        None where no key can say it.
+    """
+
+    words: str
+    key: tuple[str, str] | None
+    convention: dict[str, Any] = field(default_factory=dict)
+    fields: dict[str, Any] = field(default_factory=dict)
+
+
 def attitude_readings(convention: AttitudeConvention) -> tuple[AttitudeReading, ...]:
     """The declared meaning and those it is commonly mistaken for, singly and about each kind of axes."""
-    plain = [
-        AttitudeReading(_axes_name(other), other, keys=_axes_keys(other)) for other in _axes_of(convention)
+    bases = _bases(convention)
+    single = [_mistaken(base, (m,)) for base in bases for group in _aspects(convention) for m in group]
+    return (*bases, *single)
+
+
+def combined_readings(convention: AttitudeConvention) -> tuple[AttitudeReading, ...]:
+    """Meanings that differ from the declared one in several ways at once, those of fewest errors first.
+
+    Axes and the convergence's sign, with any two or more of: order of the angles, unit, sense, direction of
+    the rotation, camera axes, mount, turned pixels.
+    """
+    found = [
+        _mistaken(base, errors)
+        for base in _bases(convention)
+        for errors in _combinations(_aspects(convention))
     ]
-    plain[0] = replace(plain[0], name="as declared: " + plain[0].name)
-    readings = list(plain)
+    return tuple(sorted(found, key=lambda reading: reading.mistakes))
+
+
+def _bases(convention: AttitudeConvention) -> list[AttitudeReading]:
+    """About each kind of axes; the declared one first."""
+    bases = [
+        AttitudeReading(_axes_name(other), other, keys=_axes_keys(other), mistakes=int(other != convention))
+        for other in _axes_of(convention)
+    ]
+    bases[0] = replace(bases[0], name=f"as declared ({bases[0].name})")
     if convention.axes in ("grid", "grid_east_north", "local"):
-        grid = next(r for r in plain if r.convention.axes in ("grid", "grid_east_north"))
-        readings.append(
-            replace(
-                grid,
-                name="about grid axes, convergence of the wrong sign",
-                wrong_convergence_sign=True,
-                keys=(),
-            )
-        )
-    mistakes: list[AttitudeReading] = []
-    for base in plain:
-        mistakes += _mistakes_of(base)
-    return (*readings, *mistakes)
+        grid = next(r for r in bases if r.convention.axes in ("grid", "grid_east_north"))
+        name = "about grid axes, convergence of the wrong sign"
+        wrong = replace(grid, name=name, wrong_convergence_sign=True, keys=(), unsaid=(name,), mistakes=1)
+        bases.append(wrong)
+    return bases
 
 
-def _mistakes_of(base: AttitudeReading) -> list[AttitudeReading]:
+def _combinations(aspects: list[list[_Mistake]]) -> Iterator[tuple[_Mistake, ...]]:
+    """One error or none of each aspect, at least two together."""
+    for choice in product(*([None, *group] for group in aspects)):
+        errors = tuple(error for error in choice if error is not None)
+        if len(errors) >= 2:
+            yield errors
+
+
+def _mistaken(base: AttitudeReading, errors: tuple[_Mistake, ...]) -> AttitudeReading:
+    """A reading with errors on top of those of its axes."""
     convention = base.convention
-    where = f", {_axes_name(convention)}"
-    found = []
-    if convention.kind in ("opk", "pok", "rph"):
-        for unit in ("deg", "gon", "rad"):
-            if unit != convention.unit:
-                keys = (*base.keys, ("photos.angle_unit", f'"{unit}"'))
-                found.append(
-                    AttitudeReading(f"angles in {unit}{where}", replace(convention, unit=unit), keys=keys)
-                )
-        word = "heading counts counter-clockwise" if convention.kind == "rph" else "kappa counts clockwise"
-        found.append(AttitudeReading(word + where, convention, clockwise=True))
-    if convention.kind in ("opk", "pok"):
-        other: Literal["opk", "pok"] = "pok" if convention.kind == "opk" else "opk"
-        order = {"opk": "omega-phi-kappa", "pok": "phi-omega-kappa"}[other]
-        keys = (*base.keys, ("photos.angle_order", f'"{order}"'))
-        found.append(AttitudeReading(order + where, replace(convention, kind=other), keys=keys))
-    if convention.kind == "rph":
-        for mount in ("y_forward", "x_forward", "gimbal"):
-            if mount != convention.mount:
-                keys = (*base.keys, ("photos.mount", f'"{mount}"'))
-                found.append(
-                    AttitudeReading(f"mount {mount}{where}", replace(convention, mount=mount), keys=keys)
-                )
-    found.append(
-        AttitudeReading(
-            "rotation from object to camera" + where, replace(convention, inverse=not convention.inverse)
-        )
+    fields: dict[str, Any] = {}
+    for error in errors:
+        convention = replace(convention, **error.convention)
+        fields |= error.fields
+    where = _axes_name(base.convention) + (", convergence of the wrong sign" * base.wrong_convergence_sign)
+    return replace(
+        base,
+        name=", ".join([*(error.words for error in errors), where]),
+        convention=convention,
+        keys=(*base.keys, *(error.key for error in errors if error.key is not None)),
+        unsaid=(*base.unsaid, *(error.words for error in errors if error.key is None)),
+        mistakes=base.mistakes + len(errors),
+        **fields,
     )
-    vision: CameraAxes = "computer_vision"
-    if convention.camera_axes == vision:
-        vision = "photogrammetric"
-    words = "camera axes x right, y down, z forwards" if vision == "computer_vision" else "camera axes y up"
-    found.append(AttitudeReading(words + where, replace(convention, camera_axes=vision)))
-    for turn, rotation in ((90.0, "90"), (180.0, "180"), (270.0, "270")):
-        keys = (*base.keys, ("camera.rotation", rotation))
-        found.append(
-            AttitudeReading(f"pixels turned by {turn:g}°{where}", convention, image_turn_deg=turn, keys=keys)
+
+
+def _aspects(convention: AttitudeConvention) -> list[list[_Mistake]]:
+    """The errors that exclude each other, group by group."""
+    groups: list[list[_Mistake]] = []
+    if convention.kind in ("opk", "pok"):
+        other = "pok" if convention.kind == "opk" else "opk"
+        order = {"opk": "omega-phi-kappa", "pok": "phi-omega-kappa"}[other]
+        groups.append([_Mistake(order, ("photos.angle_order", f'"{order}"'), {"kind": other})])
+    if convention.kind in ("opk", "pok", "rph"):
+        units = [unit for unit in ("deg", "gon", "rad") if unit != convention.unit]
+        groups.append(
+            [_Mistake(f"angles in {u}", ("photos.angle_unit", f'"{u}"'), {"unit": u}) for u in units]
         )
-    return found
+        sense = "heading counts counter-clockwise" if convention.kind == "rph" else "kappa counts clockwise"
+        groups.append([_Mistake(sense, None, fields={"clockwise": True})])
+    if convention.kind == "rph":
+        mounts = [mount for mount in ("y_forward", "x_forward", "gimbal") if mount != convention.mount]
+        groups.append([_Mistake(f"mount {m}", ("photos.mount", f'"{m}"'), {"mount": m}) for m in mounts])
+    inverse = "rotation from camera to object" if convention.inverse else "rotation from object to camera"
+    groups.append([_Mistake(inverse, None, {"inverse": not convention.inverse})])
+    vision = convention.camera_axes == "computer_vision"
+    words = "camera axes y up" if vision else "camera axes x right, y down, z forwards"
+    axes: CameraAxes = "photogrammetric" if vision else "computer_vision"
+    groups.append([_Mistake(words, None, {"camera_axes": axes})])
+    groups.append(
+        [
+            _Mistake(
+                f"pixels turned by {turn}°",
+                ("camera.rotation", f"{turn}"),
+                fields={"image_turn_deg": float(turn)},
+            )
+            for turn in (90, 180, 270)
+        ]
+    )
+    return groups
 
 
 def _axes_of(convention: AttitudeConvention) -> list[AttitudeConvention]:
