@@ -26,6 +26,8 @@ COMMANDS: Final = (
     "check",
     "run",
     "demo",
+    "view",
+    "publish",
     "measure",
     "laws",
     "homogeneity",

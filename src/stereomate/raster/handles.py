@@ -25,10 +25,14 @@ LARGEST_SLAB_BYTES: Final = 32 * 1024**2
 
 
 class Handles:
-    """GDAL handles of one file: each is lent to one thread at a time and taken back."""
+    """GDAL handles of one file: each is lent to one thread at a time and taken back.
 
-    def __init__(self, path: Path) -> None:
+    With `overview` they show that overview (0 is the first one) as if it were the file.
+    """
+
+    def __init__(self, path: Path, overview: int | None = None) -> None:
         self.path = path
+        self._overview = overview
         self._idle: list[Any] = []
         self._lock = threading.Lock()
         self._closed = False
@@ -41,7 +45,7 @@ class Handles:
                 raise ValueError(f"{self.path}: the reader is closed")
             handle = self._idle.pop() if self._idle else None
         if handle is None:
-            handle = _open(self.path)
+            handle = _open(self.path, self._overview)
         try:
             yield handle
         finally:
@@ -61,13 +65,13 @@ class Handles:
             handle.close()
 
 
-def _open(path: Path) -> Any:
+def _open(path: Path, overview: int | None) -> Any:
     settings.current()
     if not path.is_file():
         raise ImageError("no such file", file=path)
     with reading(path), warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        return rasterio.open(path)
+        return rasterio.open(path) if overview is None else rasterio.open(path, overview_level=overview)
 
 
 @contextlib.contextmanager

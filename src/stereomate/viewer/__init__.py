@@ -1,0 +1,1 @@
+"""The web page, its tiles and its server."""

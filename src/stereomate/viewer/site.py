@@ -1,0 +1,302 @@
+"""Everything a page asks for, as named files: the server makes them when asked, `publish` writes them all."""
+
+from __future__ import annotations
+
+import json
+import re
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import resources
+from pathlib import Path, PurePosixPath
+from typing import Any, Final
+
+import numpy as np
+
+from stereomate.errors import FormatError, InputError
+from stereomate.raster.pyramid import PyramidReader, open_pyramid
+from stereomate.stereo.product import StereoProduct
+from stereomate.viewer import binary, layers
+from stereomate.viewer.imagery import TILE, Stretch, TileFormat, encode_image, read_tile, stretch_of
+from stereomate.viewer.lattice import MeasuringLattice, measuring_lattice
+from stereomate.viewer.points import read_points
+from stereomate.viewer.record import HEIGHT_TILE, SITE_FORMAT, HeightWindow, height_window, viewer_record
+
+_EYE: Final = re.compile(r"(ortho|mate)/(\d{1,2})/(\d{1,6})_(\d{1,6})\.(?:jpg|png)")
+_PAIR: Final = re.compile(r"(lineage|heights)/(\d{1,6})_(\d{1,6})\.bin")
+_HOMOGENEITY: Final = re.compile(r"homogeneity_(\d+)\.bin")
+
+
+@dataclass(frozen=True)
+class SiteOptions:
+    """How the pictures of a site are written.
+
+    Attributes
+    ----------
+    format : {"jpg", "png"}
+        PNG is without loss, and three to five times larger.
+    quality : int
+        Of JPEG, 1 to 100.
+    object_heights_m : tuple of float
+        Heights of objects for which homogeneity is predicted.
+    title, credits : str
+        Shown on the page and on prints.
+    points : Path, optional
+        A table of control and check points to show: name, x, y, z and perhaps type.
+    """
+
+    format: TileFormat = "jpg"
+    quality: int = 90
+    object_heights_m: tuple[float, ...] = (10.0,)
+    title: str = ""
+    credits: str = ""
+    points: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.format not in ("jpg", "png"):
+            raise InputError("must be jpg or png", field="format", value=self.format)
+        if not 1 <= self.quality <= 100:
+            raise InputError("must be 1 to 100", field="quality", value=self.quality)
+        for height in self.object_heights_m:
+            if not (np.isfinite(height) and height > 0.0):
+                raise InputError("must be positive", field="object_heights", value=height)
+
+
+class ProductSource:
+    """One product as files of a page. Safe to use from any number of threads.
+
+    Raises
+    ------
+    FormatError
+        If a raster of the product is missing, or does not lie in its folder.
+    """
+
+    def __init__(self, product: StereoProduct, options: SiteOptions) -> None:
+        self.product, self.options = product, options
+        files = product.files
+        names = {"ortho": files.ortho, "mate": files.mate, "lineage": files.lineage}
+        self._paths = {key: _inside(product.folder, name) for key, name in names.items() if name}
+        self._lock = threading.RLock()
+
+    @cached_property
+    def _images(self) -> dict[str, PyramidReader]:
+        return {key: open_pyramid(path, nearest=key == "lineage") for key, path in self._paths.items()}
+
+    @cached_property
+    def _stretch(self) -> Stretch:
+        return stretch_of(self._paths["ortho"])
+
+    @cached_property
+    def _lattice(self) -> MeasuringLattice:
+        return measuring_lattice(self.product.job)
+
+    @cached_property
+    def _heights(self) -> HeightWindow:
+        return height_window(self.product.job, self._lattice)
+
+    @cached_property
+    def _record(self) -> dict[str, Any]:
+        image = self._images["ortho"]
+        return viewer_record(self.product, self.options.object_heights_m, self._lattice, self._heights) | {
+            "tiles": {
+                "size": TILE,
+                "apron": 1,
+                "levels": image.levels(TILE),
+                "format": self.options.format,
+                "eyes": [eye for eye in ("ortho", "mate") if eye in self._paths],
+                "stretch": {"low": self._stretch.low, "high": self._stretch.high},
+            },
+            "points": read_points(self.options.points, self.product.job),
+            "title": self.options.title,
+            "credits": self.options.credits,
+        }
+
+    def names(self) -> Iterator[str]:
+        """All files, in the order in which a page wants them."""
+        yield "product.json"
+        yield "lattice.bin"
+        yield "relief.bin"
+        yield from self._image_names()
+        if "lineage" in self._paths:
+            yield "lineage.bin"
+            for col, row in _tile_range(self.product.job.grid.size, TILE):
+                yield f"lineage/{col}_{row}.bin"
+        for col, row in _tile_range((self._heights.cols, self._heights.rows), HEIGHT_TILE):
+            yield f"heights/{col}_{row}.bin"
+        if self.product.job.is_stereo:
+            for index in range(len(self.options.object_heights_m)):
+                yield f"homogeneity_{index}.bin"
+
+    def _image_names(self) -> Iterator[str]:
+        for level in reversed(range(self._images["ortho"].levels(TILE))):
+            for eye in ("ortho", "mate"):
+                if eye in self._images:
+                    for col, row in _tile_range(self._images[eye].size(level), TILE):
+                        yield f"{eye}/{level}/{col}_{row}.{self.options.format}"
+
+    def read(self, name: str) -> bytes:
+        """A file.
+
+        Raises
+        ------
+        KeyError
+            If there is none of that name.
+        ImageError
+            If a raster is damaged there.
+        """
+        simple: dict[str, Callable[[], bytes]] = {
+            "product.json": self._product_json,
+            "lattice.bin": lambda: binary.encode_doubles(self._lattice.values),
+            "relief.bin": lambda: binary.encode_floats(layers.relief(self.product.job)),
+        }
+        if "lineage" in self._paths:
+            simple["lineage.bin"] = lambda: binary.encode_numbers(layers.lineage(self._image("lineage")))
+        if name in simple:
+            return simple[name]()
+        if found := _EYE.fullmatch(name):
+            return self._image_tile(found[1], name[-3:], (int(found[2]), int(found[3]), int(found[4])))
+        if found := _PAIR.fullmatch(name):
+            make = self._lineage_tile if found[1] == "lineage" else self._height_tile
+            return make(int(found[2]), int(found[3]))
+        if found := _HOMOGENEITY.fullmatch(name):
+            return self._homogeneity(int(found[1]))
+        raise KeyError(name)
+
+    def _product_json(self) -> bytes:
+        with self._lock:
+            return json.dumps(self._record, ensure_ascii=False, allow_nan=False).encode()
+
+    def _image(self, key: str) -> PyramidReader:
+        with self._lock:
+            return self._images[key]
+
+    def _image_tile(self, eye: str, suffix: str, place: tuple[int, int, int]) -> bytes:
+        image = self._image(eye) if eye in self._paths else None
+        if image is None or suffix != self.options.format or place[0] >= image.levels(TILE):
+            raise KeyError((eye, *place))
+        with self._lock:
+            stretch = self._stretch
+        pixels = read_tile(image, stretch, *place)
+        return encode_image(pixels, self.options.format, self.options.quality)
+
+    def _lineage_tile(self, col: int, row: int) -> bytes:
+        """Numbers of the photographs of orthophoto and stereomate, tile after tile."""
+        if "lineage" not in self._paths:
+            raise KeyError((col, row))
+        pixels, valid, window = self._image("lineage").read(0, col * TILE, row * TILE, TILE, TILE)
+        if window.is_empty:
+            raise KeyError((col, row))
+        pixels[~valid] = 0
+        return binary.encode_numbers(np.moveaxis(pixels, -1, 0))
+
+    def _height_tile(self, col: int, row: int) -> bytes:
+        with self._lock:
+            window = self._heights
+        col0, row0 = col * HEIGHT_TILE, row * HEIGHT_TILE
+        if not (col0 < window.cols and row0 < window.rows):
+            raise KeyError((col, row))
+        patch = self.product.job.heights.patch(
+            window.col0 + col0,
+            window.row0 + row0,
+            min(HEIGHT_TILE, window.cols - col0),
+            min(HEIGHT_TILE, window.rows - row0),
+        )
+        return binary.encode_floats(patch.heights)
+
+    def _homogeneity(self, index: int) -> bytes:
+        heights = self.options.object_heights_m
+        if not self.product.job.is_stereo or index >= len(heights):
+            raise KeyError(index)
+        return binary.encode_floats(layers.homogeneity(self.product.job, heights[index]))
+
+    def close(self) -> None:
+        """Close the rasters."""
+        with self._lock:
+            for image in self.__dict__.pop("_images", {}).values():
+                image.close()
+
+
+class Site:
+    """The files of a viewer: page code, the list of products, and each product under ``data/NUMBER``."""
+
+    def __init__(self, products: list[StereoProduct], options: SiteOptions | None = None) -> None:
+        self.options = options or SiteOptions()
+        self.sources = [ProductSource(product, self.options) for product in products]
+
+    def names(self) -> Iterator[str]:
+        """All files."""
+        yield from page_names()
+        yield "data/products.json"
+        for index, source in enumerate(self.sources):
+            for name in source.names():
+                yield f"data/{index}/{name}"
+
+    def read(self, name: str) -> bytes:
+        """A file.
+
+        Raises
+        ------
+        KeyError
+            If there is none of that name.
+        """
+        if name == "data/products.json":
+            return json.dumps(self._list(), ensure_ascii=False).encode()
+        parts = name.split("/", 2)
+        if parts[0] == "data" and len(parts) == 3:
+            if not (parts[1].isdecimal() and len(parts[1]) < 6 and int(parts[1]) < len(self.sources)):
+                raise KeyError(name)
+            return self.sources[int(parts[1])].read(parts[2])
+        return read_page(name)
+
+    def _list(self) -> dict[str, Any]:
+        jobs = [source.product.job for source in self.sources]
+        return {
+            "format": SITE_FORMAT,
+            "products": [
+                {"name": job.name or "product", "folder": str(k), "stereo": job.is_stereo}
+                for k, job in enumerate(jobs)
+            ],
+        }
+
+    def close(self) -> None:
+        """Close all rasters."""
+        for source in self.sources:
+            source.close()
+
+
+def page_names() -> Iterator[str]:
+    """Files of the page itself."""
+    folder = Path(str(resources.files("stereomate.viewer") / "page"))
+    for path in sorted(folder.rglob("*")):
+        if path.is_file() and path.suffix in (".html", ".css", ".js"):
+            yield path.relative_to(folder).as_posix()
+
+
+def read_page(name: str) -> bytes:
+    """A file of the page.
+
+    Raises
+    ------
+    KeyError
+        If there is none of that name.
+    """
+    if name not in set(page_names()):
+        raise KeyError(name)
+    return (resources.files("stereomate.viewer") / "page" / PurePosixPath(name)).read_bytes()
+
+
+def _inside(folder: Path, name: str) -> Path:
+    """A file of a product, which must lie in its folder: stereo.json may have come from anywhere."""
+    path = folder / name
+    if not path.is_file():
+        raise FormatError("does not exist", file=path)
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise FormatError("must lie in the folder of the product", file=path)
+    return path
+
+
+def _tile_range(size: tuple[int, int], tile: int) -> Iterator[tuple[int, int]]:
+    for row in range(-(-size[1] // tile)):
+        for col in range(-(-size[0] // tile)):
+            yield col, row
