@@ -56,6 +56,25 @@ def test_figures_of_the_small_project(small):
     assert report.terrain.resolution_m == pytest.approx(5.0, rel=1e-3)
 
 
+def test_strength_of_geometry(small, capsys):
+    """Flat ground under photographs of ±4° across: n by Kasper's formula for flat terrain, near critical."""
+    small.write_heights(np.full((40, 40), 200.0))
+    small.write(
+        "orientation.csv",
+        "filename,x,y,z,omega,phi,kappa\nphoto_1,511988,5400000,500,0,0,0\nphoto_2,512012,5400000,500,0,0,0\n",
+    )
+    report = check_project(load(small.path))
+    (pair,) = report.pairs
+    # Points at nine tenths of the half width: 20 m of 300 m; rays stand 0.03 of that apart.
+    assert pair.factors == pytest.approx([0.5 * (1 + (300 / 18.0) ** 2)] * 2, rel=0.08)
+    assert pair.geometry == "near critical"
+    assert 0.0 < pair.strength < 0.2
+    (warning,) = [text for text in report.warnings if "critical circle" in text]
+    assert "photo_1 - photo_2" in warning
+    _, out, _ = run(capsys, "check", str(small.path))
+    assert "near critical" in " ".join(out.split())
+
+
 def test_no_pair_is_said_and_an_orthophoto_is_left(small):
     small.replace("project.toml", "gsd = 1.0", "gsd = 1.0\nmin_base_height = 0.5")
     report = check_project(load(small.path))

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
+from pyproj import Transformer
 
 from stereomate.cli import main
-from stereomate.errors import InputError
+from stereomate.errors import FormatError, InputError
 from stereomate.project import load
 from stereomate.project.orientation_sections import ProjectSectionOptions, project_sections
 from stereomate.relative.overcorrection import overcorrection_factor
@@ -115,6 +116,29 @@ def test_water_is_avoided(small):
             for points in geometry.points
         ]
         assert (np.concatenate(rows) > 32.5).any() == allowed
+
+
+def test_no_point_on_water_polygons(small):
+    """A lake in the north of the strip, in longitude and latitude: its shore is kept, and check agrees."""
+    (dry,) = project_sections(load(small.path), ProjectSectionOptions(least_contrast=0.0))
+    assert max(points[:, 1].max() for points in dry.points_map) > 5400012.0
+    shore = Transformer.from_crs("EPSG:25832", "EPSG:4326", always_xy=True)
+    corners = [(511900, 5400010), (512100, 5400010), (512100, 5400100), (511900, 5400100), (511900, 5400010)]
+    ring = [list(shore.transform(*corner)) for corner in corners]
+    geometry = {"type": "Polygon", "coordinates": [ring]}
+    lake = {"type": "Feature", "properties": {}, "geometry": geometry}
+    small.write("lakes.geojson", json.dumps({"type": "FeatureCollection", "features": [lake]}))
+    small.replace("project.toml", "[terrain]", '[terrain]\nwater = "lakes.geojson"')
+    project = load(small.path)
+    assert [i.path.name for i in project.inputs if i.role == "water"] == ["lakes.geojson"]
+    (wet,) = project_sections(project, ProjectSectionOptions(least_contrast=0.0))
+    assert len(wet.points_map) == len(dry.points_map)
+    for points in wet.points_map:
+        assert points[:, 1].max() < 5400010.001
+    assert wet.sections.strength < dry.sections.strength
+    small.replace("project.toml", "lakes.geojson", "none.geojson")
+    with pytest.raises(FormatError, match=r"none\.geojson"):
+        load(small.path)
 
 
 def test_no_ground_no_section(small):

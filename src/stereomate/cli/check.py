@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -114,11 +115,29 @@ def _print_pairs(out: Console, report: CheckReport) -> None:
             f"{row.base_height:.2f}",
             f"{row.azimuth_deg:.1f}",
             "yes" if row.serves else "no",
+            "-" if row.factors is None else " / ".join(_factor(n) for n in row.factors),
+            "-" if row.strength is None else f"{row.strength:.2g}",
+            row.geometry or "-",
         )
         for row in report.pairs
     ]
-    heads = ("pair", "", "overlap", "base m", "base/height", "azimuth °", "serves")
-    out.print(table("Pairs", heads, rows[:_ROWS], left=(0, 1), rest=len(rows) - _ROWS))
+    heads = (
+        "pair",
+        "",
+        "overlap",
+        "base m",
+        "base/height",
+        "azimuth °",
+        "serves",
+        "over-correction n",
+        "strength",
+        "geometry",
+    )
+    out.print(table("Pairs", heads, rows[:_ROWS], left=(0, 1, 9), rest=len(rows) - _ROWS))
+
+
+def _factor(n: float) -> str:
+    return "±∞" if math.isinf(n) else f"{n:.1f}"
 
 
 def _print_terrain(out: Console, report: CheckReport) -> None:

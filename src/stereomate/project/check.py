@@ -11,6 +11,11 @@ from stereomate.coverage.summary import Coverage, survey_coverage
 from stereomate.errors import CoverageError
 from stereomate.project.compare import Comparison
 from stereomate.project.model import Project
+from stereomate.project.orientation_sections import (
+    PairGeometry,
+    ProjectSectionOptions,
+    sections_of_coverage,
+)
 from stereomate.project.run import RunOptions, plan
 from stereomate.rectify.job import RectifyJob
 from stereomate.rectify.layout import MIN_OVERLAP
@@ -38,7 +43,20 @@ class PhotoRow:
 
 @dataclass(frozen=True)
 class PairRow:
-    """One pair of overlapping photographs. `azimuth_deg` of its base, clockwise from grid north."""
+    """One pair of overlapping photographs.
+
+    Attributes
+    ----------
+    azimuth_deg : float
+        Of the base, clockwise from grid north.
+    factors : (float, float) or None
+        Over-correction factors of the sections nearest to both centres, ±inf on the critical circle; None
+        without a height model, with too little overlap, or where no section has three usable points.
+    strength : float or None
+        Of the relative orientation: 1 is flat ground under a normal-angle camera, 0 the critical circle.
+    geometry : str
+        In one word: good, weak, near critical, no section; empty where the overlap is too little.
+    """
 
     first: str
     second: str
@@ -47,6 +65,9 @@ class PairRow:
     base_height: float
     azimuth_deg: float
     serves: bool
+    factors: tuple[float, float] | None = None
+    strength: float | None = None
+    geometry: str = ""
 
 
 @dataclass(frozen=True)
@@ -139,6 +160,7 @@ def check_project(project: Project) -> CheckReport:
     if project.comparison is not None and not project.comparison.is_same:
         warnings.append(project.comparison.sentence)
     tangent = project.tangent
+    strengths = _strengths(project, coverage, warnings)
     return CheckReport(
         project=project.name,
         file=str(project.path),
@@ -146,7 +168,7 @@ def check_project(project: Project) -> CheckReport:
         heights=project.frame.heights.description,
         tangent_origin=(tangent.longitude_deg, tangent.latitude_deg, tangent.height_m),
         photographs=tuple(_photo_rows(project, coverage)),
-        pairs=tuple(_pair_row(pair, project) for pair in coverage.pairs),
+        pairs=tuple(_pair_row(pair, project, strengths.get(pair.names)) for pair in coverage.pairs),
         terrain=None if heights is None else _terrain_row(heights, coverage),
         products=tuple(_product_row(job) for job in jobs),
         comparison=project.comparison,
@@ -213,7 +235,24 @@ def _of(footprint: Footprint | None, name: str) -> float:
     return math.nan if footprint is None else float(getattr(footprint, name))
 
 
-def _pair_row(pair: Pair, project: Project) -> PairRow:
+def _strengths(
+    project: Project, coverage: Coverage, warnings: list[str]
+) -> dict[tuple[str, str], PairGeometry]:
+    """Geometry of the relative orientation by pair, from the height model alone: no image is read."""
+    if project.heights is None:
+        return {}
+    found = sections_of_coverage(project, coverage, ProjectSectionOptions(least_contrast=0.0))
+    doubtful = [" - ".join(g.names) for g in found if g.verdict in ("near critical", "no section")]
+    if doubtful:
+        warnings.append(
+            f"{len(doubtful)} pairs near the critical circle, or without three usable points in any section: "
+            f"{', '.join(doubtful[:5])}{' ...' if len(doubtful) > 5 else ''}; "
+            "see stereomate overcorrection section"
+        )
+    return {geometry.names: geometry for geometry in found}
+
+
+def _pair_row(pair: Pair, project: Project, geometry: PairGeometry | None) -> PairRow:
     options = project.options
     serves = pair.overlap >= MIN_OVERLAP
     serves = serves and options.min_base_height <= pair.base_height <= options.max_base_height
@@ -224,6 +263,9 @@ def _pair_row(pair: Pair, project: Project) -> PairRow:
         base_height=pair.base_height,
         azimuth_deg=pair.azimuth_deg,
         serves=serves,
+        factors=None if geometry is None else geometry.end_factors,
+        strength=geometry.sections.strength if geometry is not None and geometry.points else None,
+        geometry="" if geometry is None else geometry.verdict,
     )
 
 

@@ -32,7 +32,7 @@ from stereomate.project.orientations import (
 from stereomate.project.placing import Placed, place_photographs, suspicious_angles
 from stereomate.project.reading import read_project_file
 from stereomate.project.schema import UNDECLARED, ProductsSection, ProjectFile
-from stereomate.project.surface import open_terrain, read_area, read_sheets, with_breaklines
+from stereomate.project.surface import open_terrain, read_area, read_sheets, read_water, with_breaklines
 from stereomate.rectify.options import RectifyOptions
 
 Array = NDArray[np.float64]
@@ -91,6 +91,7 @@ def load(path: str | Path, *, strict: bool | None = None) -> Project:
         options=options,
         area=read_area(file, reading, frame),
         sheets=read_sheets(file, reading, frame),
+        water=read_water(file, reading, frame),
         pairs=_pairs(file.products, survey, path),
         grid_adjustment=placed.adjustment,
         inputs=_inputs(path, written, survey, file),
@@ -208,8 +209,9 @@ def _inputs(
     if file.control is not None and (path.parent / file.control.file).is_file():
         control = path.parent / file.control.file
         inputs.append(InputFile("control", control, file_digest(control)))
-    for key in ("area", "sheets", "breaklines"):
-        name = getattr(file.products, key)
+    water = None if file.terrain is None else file.terrain.water
+    named_files = [(key, getattr(file.products, key)) for key in ("area", "sheets", "breaklines")]
+    for key, name in (*named_files, ("water", water)):
         if name is not None:
             inputs.append(InputFile(key, path.parent / name, file_digest(path.parent / name)))
     inputs += [

@@ -69,6 +69,8 @@ class Project:
         What was assumed and found, for the report.
     document : mapping
         The project file with all defaults, as plain values.
+    water : shapely geometry or None
+        Where no orientation point may lie, in the map of the project.
     """
 
     path: Path
@@ -88,6 +90,7 @@ class Project:
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
     document: Mapping[str, Any]
+    water: shapely.Geometry | None = None
 
     @property
     def frame(self) -> MapFrame:

@@ -27,7 +27,7 @@ from stereomate.relative.sections import (
     pair_sections,
     section_of_points,
 )
-from stereomate.terrain.sections import CrossSection, cross_section, section_axes
+from stereomate.terrain.sections import CrossSection, cross_sections, section_axes
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -107,6 +107,15 @@ class PairGeometry:
     from_previous: OrientationSection | None = None
 
     @property
+    def end_factors(self) -> tuple[float, float] | None:
+        """n of the sections nearest to the first and the second centre."""
+        sections = self.sections.sections
+        if not sections:
+            return None
+        ends = [min(sections, key=lambda section: abs(section.place - place)) for place in (0.0, 1.0)]
+        return ends[0].strength.factor, ends[1].strength.factor
+
+    @property
     def verdict(self) -> Verdict:
         """In one word, from all sections together."""
         if not self.sections.sections:
@@ -139,7 +148,18 @@ def project_sections(
     """
     chosen = options if options is not None else ProjectSectionOptions()
     coverage = survey_coverage(project.survey, project.require_heights(), chosen.min_overlap)
-    pairs: Sequence[Pair] = coverage.pairs
+    return sections_of_coverage(project, coverage, chosen, only)
+
+
+def sections_of_coverage(
+    project: Project,
+    coverage: Coverage,
+    options: ProjectSectionOptions | None = None,
+    only: tuple[str, str] | None = None,
+) -> tuple[PairGeometry, ...]:
+    """As `project_sections`, where the coverage is known already."""
+    chosen = options if options is not None else ProjectSectionOptions()
+    pairs: Sequence[Pair] = [pair for pair in coverage.pairs if pair.overlap >= chosen.min_overlap]
     if only is not None:
         pairs = [pair for pair in pairs if set(pair.names) == set(only)]
         if not pairs:
@@ -193,11 +213,10 @@ def _pair_geometry(
     base = np.array(two.orientation.centre) - start
     places, tangents = layout
     model = project.require_heights()
-    crosses = [
-        cross_section(model, project.tangent, start + place * base, base, tangents) for place in places
-    ]
+    starts = start + np.array(places)[:, None] * base
+    crosses = cross_sections(model, project.tangent, starts, base, tangents)
     points = np.concatenate([cross.points for cross in crosses])
-    good = _inside(points, one) & _inside(points, two)
+    good = _inside(points, one) & _inside(points, two) & ~_on_water(project, points)
     good = texture.usable(two, points, texture.usable(one, points, good))
     usable = np.split(good, len(crosses))
     height = _mean_depth(crosses)
@@ -256,7 +275,7 @@ def _with_previous(
     return replace(geometry, previous=name, from_previous=found)
 
 
-def _mean_depth(crosses: list[CrossSection]) -> float:
+def _mean_depth(crosses: Sequence[CrossSection]) -> float:
     """Mean depth of the ground below the base, from the inner half of the profiles."""
     inner = [cross.z[np.abs(cross.tangents) < 0.5] for cross in crosses]
     depths = np.concatenate(inner)
@@ -264,7 +283,7 @@ def _mean_depth(crosses: list[CrossSection]) -> float:
     return float(depths.mean()) if depths.size else math.inf
 
 
-def _nominal(ratio: float, crosses: list[CrossSection], usable: list[BoolArray]) -> float:
+def _nominal(ratio: float, crosses: Sequence[CrossSection], usable: list[BoolArray]) -> float:
     """Base over height, or nine tenths of what both photographs show on the narrower side."""
     reaches = []
     for cross, good in zip(crosses, usable, strict=True):
@@ -282,6 +301,15 @@ def _inside(points: FloatArray, photo: Photograph) -> BoolArray:
     _, inside = photo.camera.image_from_camera(photo.orientation.camera_from_tangent(safe))
     seen: BoolArray = inside & np.isfinite(points).all(axis=-1)
     return seen
+
+
+def _on_water(project: Project, points: FloatArray) -> BoolArray:
+    water = np.zeros(len(points), dtype=bool)
+    known = np.isfinite(points).all(axis=1)
+    if project.water is not None and known.any():
+        plan = map_from_tangent(project.tangent, project.frame, points[known])[:, :2]
+        water[known] = shapely.contains_xy(project.water, plan[:, 0], plan[:, 1])
+    return water
 
 
 class _Texture:

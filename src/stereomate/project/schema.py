@@ -183,6 +183,8 @@ class TerrainSection(Section):
     heights: str | None = None
     unit: Literal["metre", "foot", "us-survey-foot"] | None = None
     nodata: float | None = None
+    # Read by the loader: polygons where no orientation point may lie.
+    water: str | None = None
 
     @model_validator(mode="after")
     def _file_or_level(self) -> TerrainSection:

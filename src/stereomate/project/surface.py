@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +95,14 @@ def read_area(file: ProjectFile, reading: Reading, frame: MapFrame) -> shapely.G
     return shapely.union_all([sheet.geometry for sheet in _polygons(reading.folder / name, frame)])
 
 
+def read_water(file: ProjectFile, reading: Reading, frame: MapFrame) -> shapely.Geometry | None:
+    """Water in the map of the project: the union of the polygons of a file."""
+    name = None if file.terrain is None else file.terrain.water
+    if name is None:
+        return None
+    return shapely.union_all([part for _, _, part in _plain_polygons(reading.folder / name, frame)])
+
+
 def read_sheets(file: ProjectFile, reading: Reading, frame: MapFrame) -> tuple[Sheet, ...]:
     """Map sheets: one product for each polygon, named by its attribute ``name`` or its number."""
     name = file.products.sheets
@@ -106,20 +115,25 @@ def read_sheets(file: ProjectFile, reading: Reading, frame: MapFrame) -> tuple[S
 
 
 def _polygons(path: Path, frame: MapFrame) -> list[Sheet]:
-    source = read_features(path)
-    own = _frame_of(source, frame)
     sheets = []
-    for number, feature in enumerate(source.features, 1):
-        if feature.geometry.geom_type != "Polygon":
-            rule = "must hold polygons only"
-            raise FormatError(rule, file=path, field=f"feature {number}", value=feature.geometry.geom_type)
+    for number, feature, geometry in _plain_polygons(path, frame):
         label = feature.attributes.get("name")
         if label is not None and not re.fullmatch(r"[\w][\w.-]*", str(label)):
             rule = "must be letters, digits, _, - and .: it becomes part of a file name"
             raise FormatError(rule, file=path, field=f"feature {number}.name", value=label)
-        geometry = _in_frame(shapely.force_2d(feature.geometry), own, frame)
         sheets.append(Sheet(f"sheet_{number}" if label is None else str(label), geometry))
     return sheets
+
+
+def _plain_polygons(path: Path, frame: MapFrame) -> Iterator[tuple[int, Feature, shapely.Geometry]]:
+    """Number, feature and plan geometry in another frame of the polygons of a file."""
+    source = read_features(path)
+    own = _frame_of(source, frame)
+    for number, feature in enumerate(source.features, 1):
+        if feature.geometry.geom_type != "Polygon":
+            rule = "must hold polygons only"
+            raise FormatError(rule, file=path, field=f"feature {number}", value=feature.geometry.geom_type)
+        yield number, feature, _in_frame(shapely.force_2d(feature.geometry), own, frame)
 
 
 def _frame_of(source: FeatureFile, default: MapFrame) -> MapFrame:
