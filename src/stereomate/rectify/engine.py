@@ -15,11 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.raster import PhotoReader, Window
+from stereomate.rectify.blend import photographs_across
 from stereomate.rectify.ground import Ground, ground_of, heights_of, mate_positions, shown_ground
 from stereomate.rectify.job import RectifyJob
+from stereomate.rectify.kernels.seams import balance as balance_pixels
+from stereomate.rectify.kernels.seams import mix
 from stereomate.rectify.kernels.serve import LEFT_SEES, RIGHT_SEES
 from stereomate.rectify.kernels.warp import warp
 from stereomate.rectify.layout import StereoModel
+from stereomate.rectify.radiometry import TABLE_NODES, Balance
 from stereomate.rectify.readers import reader_of
 from stereomate.rectify.resample import resample
 from stereomate.rectify.scratch import scratch
@@ -102,6 +106,10 @@ def _render(job: RectifyJob, ground: Ground, pixels: Pixels, side: Side, name: s
             _composite(
                 job, ground, pixels, nodes[int(p) - 1], int(p) - 1, wanted, Part(out, valid, photograph)
             )
+        mixed = photographs_across(job, ground, pixels, models, nodes, serving, side == "left")
+        if mixed is not None:
+            for p in np.unique(mixed[0][mixed[0] > 0]):
+                _mix(job, ground, pixels, nodes[int(p) - 1], int(p) - 1, mixed, Part(out, valid, photograph))
     out[valid == 0] = 0
     return Part(out, valid, photograph)
 
@@ -132,6 +140,32 @@ def _composite(
     part: Part,
 ) -> None:
     """Resample one of several photographs and copy the pixels it serves."""
+    box, values, valid = _one_photograph(job, ground, pixels, nodes, p, wanted)
+    there = valid != 0
+    part.pixels[box][there] = values[there]
+    part.valid[box][there] = 255
+    part.photograph[box][there] = p + 1
+
+
+def _mix(
+    job: RectifyJob,
+    ground: Ground,
+    pixels: Pixels,
+    nodes: Floats,
+    p: int,
+    mixed: tuple[NDArray[np.uint16], Floats32],
+    part: Part,
+) -> None:
+    """Mix one photograph into the pixels beside a seam; the lineage keeps the photograph that serves them."""
+    box, values, valid = _one_photograph(job, ground, pixels, nodes, p, mixed[0])
+    valid[part.valid[box] == 0] = 0
+    mix(part.pixels[box], values, valid, mixed[1][box], job.dtype.kind != "f")
+
+
+def _one_photograph(
+    job: RectifyJob, ground: Ground, pixels: Pixels, nodes: Floats, p: int, wanted: NDArray[np.uint16]
+) -> tuple[tuple[slice, slice], NDArray[Any], NDArray[np.uint8]]:
+    """The smallest box around the pixels that want a photograph, its values there, and where it has any."""
     mine = wanted == p + 1
     rows = np.flatnonzero(mine.any(axis=1))
     cols = np.flatnonzero(mine.any(axis=0))
@@ -146,10 +180,7 @@ def _composite(
     values = scratch("photograph pixels", (*shape, len(job.bands)), job.dtype)
     valid = scratch("photograph valid", shape, np.uint8)
     _resample_photograph(job, ground, box, nodes, p, wanted[r0:r1, c0:c1], values, valid)
-    there = valid != 0
-    part.pixels[r0:r1, c0:c1][there] = values[there]
-    part.valid[r0:r1, c0:c1][there] = 255
-    part.photograph[r0:r1, c0:c1][there] = p + 1
+    return (slice(r0, r1), slice(c0, c1)), values, valid
 
 
 def _resample_photograph(
@@ -193,7 +224,7 @@ def _resample_photograph(
     if count == 0:
         return
     reader: PhotoReader = reader_of(photograph)
-    resample(
+    origin = resample(
         reader,
         job.bands,
         (map_x, map_y),
@@ -204,6 +235,29 @@ def _resample_photograph(
         out,
         valid,
     )
+    if job.balance is not None:
+        _balance(job, job.balance, p, (map_x, map_y), origin, out, valid)
+
+
+def _balance(
+    job: RectifyJob,
+    balance: Balance,
+    p: int,
+    positions: tuple[Floats32, Floats32],
+    origin: tuple[int, int],
+    out: NDArray[Any],
+    valid: NDArray[np.uint8],
+) -> None:
+    size = job.photographs[p].camera.size_px
+    table = balance.table(p, size)
+    steps = [edge / job.reductions[p] / (TABLE_NODES - 1) for edge in size]
+    low, high = (1.0, 0.0)  # floats are not limited
+    if job.dtype.kind != "f":
+        limits = np.iinfo(np.zeros(0, job.dtype).dtype)
+        low, high = float(limits.min), float(limits.max)
+    offset_x, offset_y = origin[0] + 0.5, origin[1] + 0.5
+    map_x, map_y = positions
+    balance_pixels(out, valid, map_x, map_y, offset_x, offset_y, table, steps[0], steps[1], low, high)
 
 
 def _extremes(

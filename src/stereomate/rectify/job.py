@@ -14,6 +14,8 @@ from stereomate.parallax.laws import ParallaxLaw
 from stereomate.rectify.grid import ProductGrid
 from stereomate.rectify.layout import StereoModel
 from stereomate.rectify.options import RectifyOptions
+from stereomate.rectify.radiometry import Balance
+from stereomate.rectify.seams import Seams
 from stereomate.terrain.model import HeightModel
 
 
@@ -33,6 +35,10 @@ class RectifyJob:
         Of kind "none" for an orthophoto without stereomate.
     height_range : (low, high)
         Lowest and highest ground in the height system of the law.
+    seams : Seams or None
+        Which model serves which ground, before the rule of `rectify.serving`.
+    balance : Balance or None
+        What the photographs are multiplied by.
     """
 
     name: str
@@ -49,6 +55,8 @@ class RectifyJob:
     bands: tuple[int, ...]
     dtype: np.dtype[np.generic]
     options: RectifyOptions
+    seams: Seams | None = None
+    balance: Balance | None = None
 
     @property
     def is_stereo(self) -> bool:

@@ -36,7 +36,7 @@ def resample(
     method: Resampling,
     out: NDArray[Any],
     valid: NDArray[np.uint8],
-) -> None:
+) -> tuple[int, int]:
     """Values of a photograph at positions, written to `out`; `valid` is cleared where the photograph is.
 
     Parameters
@@ -51,6 +51,10 @@ def resample(
     out : (rows, cols, bands)
     valid : (rows, cols) uint8
         255 where the positions are meant; set to 0 where any pixel with weight is masked in the photograph.
+
+    Returns
+    -------
+    Column and row of the reduced photograph that the moved positions are counted from.
     """
     min_x, max_x, min_y, max_y = extremes
     reach = _REACH[method]
@@ -69,6 +73,7 @@ def resample(
         _remap(source, (positions[0][part], positions[1][part]), _FLAGS[method], out[part])
     if usable is not None:
         _clear_masked(usable, positions, method, valid)
+    return window.col0, window.row0
 
 
 def filled_parts(valid: NDArray[np.uint8]) -> list[tuple[slice, slice]]:

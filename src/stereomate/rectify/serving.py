@@ -25,6 +25,8 @@ Floats32 = NDArray[np.float32]
 # accuracy and the rounding of heights stay below it.
 HIDDEN_TOLERANCE_M = 0.02
 
+NO_PREFERENCE = np.empty((0, 0), np.int16)
+
 
 @dataclass(frozen=True, eq=False)
 class Pixels:
@@ -112,19 +114,51 @@ def field_of_view(camera: Camera) -> tuple[Floats, Floats]:
     return low - margin, high + margin
 
 
+def preferred_models(
+    job: RectifyJob, pixels: Pixels, models: list[StereoModel], name: str
+) -> NDArray[np.int16]:
+    """Index in `models` of the model that the seams give each pixel's ground (a buffer of this thread).
+
+    -1 where they give none, or one that does not show the window at all; empty without seams.
+    """
+    if job.seams is None:
+        return NO_PREFERENCE
+    labels = scratch(name, (pixels.window.rows, pixels.window.cols), np.int16)
+    job.seams.labels(pixels.window, pixels.columns, labels)
+    return np.take(in_window(job, models), labels, out=labels)
+
+
+def in_window(job: RectifyJob, models: list[StereoModel]) -> NDArray[np.int16]:
+    """Index in `models` of each model of the job, and of none (the last): -1 where it is not there."""
+    index = {id(m): k for k, m in enumerate(models)}
+    return np.array([*(index.get(id(m), -1) for m in job.models), -1], np.int16)
+
+
 def serve_pixels(
-    job: RectifyJob, ground: Ground, pixels: Pixels, models: list[StereoModel], nodes: Floats
+    job: RectifyJob,
+    ground: Ground,
+    pixels: Pixels,
+    models: list[StereoModel],
+    nodes: Floats,
+    preferred: NDArray[np.int16] | None = None,
 ) -> Serving:
     """Choose the model of every pixel's ground; one model for all where nothing is to be decided.
 
     A model of `models` that cannot win anywhere in the window is left aside first.
+
+    Parameters
+    ----------
+    preferred : (rows, cols) int16, optional
+        Index in `models` of what is asked first at each pixel; that of the job's seams if absent.
     """
     hidden = _can_be_hidden(job, ground, nodes, models)
     scores = _scores(job, models, nodes)
-    if not hidden.any():
+    if preferred is None and not hidden.any():
         alone = _uncontested(job, ground, nodes, models, scores)
         if alone is not None:
             return Serving(alone, BOTH_SEE)
+    if preferred is None:
+        preferred = preferred_models(job, pixels, models, "preferred model")
     if hidden.any():
         ground = _with_way_to_centres(job, ground, nodes[hidden])
     centres = _centres_in_patch(job, ground)
@@ -152,6 +186,7 @@ def serve_pixels(
         HIDDEN_TOLERANCE_M,
         centres,
         job.options.hidden == "fill",
+        preferred,
         model,
         sees,
     )
@@ -178,6 +213,12 @@ def _uncontested(
 
     A single photograph that has no rival need not show all of the window: what it does not show, nobody does.
     """
+    if job.seams is not None and len(models) > 1:
+        label = job.seams.only(ground.window)
+        if label is None:
+            return None
+        winner = int(in_window(job, models)[label])
+        return winner if winner >= 0 and _all_inside(job, ground, nodes, models[winner]) else None
     winner = int(np.argmin(scores[0, 0]))
     if (scores < scores[..., winner, None]).any():
         return None

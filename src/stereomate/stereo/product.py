@@ -23,6 +23,8 @@ from stereomate.parallax.laws import ParallaxLaw, law_from_record
 from stereomate.raster.files import write_whole
 from stereomate.rectify.job import RectifyJob
 from stereomate.rectify.options import RectifyOptions
+from stereomate.rectify.radiometry import balance_from_record, balance_record
+from stereomate.rectify.seams import seams_from_record, seams_record
 from stereomate.stereo import measure as measuring
 from stereomate.stereo import record as rec
 from stereomate.stereo.lineage import lineage_of
@@ -179,6 +181,8 @@ def product_record(product: StereoProduct) -> Record:
         "centres_in_height_model": job.centres_in_height_model.tolist(),
         "reductions": list(job.reductions),
         "models": [rec.model_record(m) for m in job.models],
+        "seams": seams_record(job.seams),
+        "balance": balance_record(job.balance),
         "bands": [band + 1 for band in job.bands],
         "dtype": str(job.dtype),
         "options": dataclasses.asdict(job.options),
@@ -278,6 +282,8 @@ def _product_from_record(record: Record, folder: Path) -> StereoProduct:
         bands=tuple(band - 1 for band in record["bands"]),
         dtype=np.dtype(record["dtype"]),
         options=options,
+        seams=seams_from_record(record.get("seams")),
+        balance=balance_from_record(record.get("balance")),
     )
     files = record["files"]
     names = ProductFiles(files["ortho"], files["lineage"], files["mate"], record["sha256"])

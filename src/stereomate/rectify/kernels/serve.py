@@ -60,6 +60,7 @@ def serve(
     tolerance: float,
     centres: Floats,
     fill: bool,
+    preferred: NDArray[np.int16],
     out_model: NDArray[np.int16],
     out_sees: NDArray[np.uint8],
 ) -> None:
@@ -83,6 +84,8 @@ def serve(
         How far (metres) the surface may rise above the ray before it hides the ground.
     centres : (photographs, 3)
         Projection centres in patch coordinates: column, row, height in the height model's system.
+    preferred : (rows, cols) or (0, 0)
+        Index of the model that comes before all others at a pixel, -1 for none. Empty: nowhere.
     out_model : (rows, cols)
         Index of the model, -1 where none can serve.
     out_sees : (rows, cols)
@@ -97,6 +100,7 @@ def serve(
     photo_lines = np.empty((photographs, node_cols, 6))
     score = np.empty(models)
     one_row = columns.shape[0] == 1
+    has_preferred = preferred.shape[0] > 0
     for r in range(rows):
         y = (row0 + r + 0.5 - node_row) / step
         lattice_row(score_nodes, y, score_line)
@@ -115,6 +119,8 @@ def serve(
             f = x - i
             for m in range(models):
                 score[m] = score_line[i, m] + f * (score_line[i + 1, m] - score_line[i, m])
+            if has_preferred and preferred[r, c] >= 0:
+                score[preferred[r, c]] = -1.0
             dem_col = surface_line[i, 0] + f * (surface_line[i + 1, 0] - surface_line[i, 0])
             dem_row = surface_line[i, 1] + f * (surface_line[i + 1, 1] - surface_line[i, 1])
             dem_h = h - surface_line[i, 2] - f * (surface_line[i + 1, 2] - surface_line[i, 2])
