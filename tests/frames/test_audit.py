@@ -184,8 +184,7 @@ def test_several_errors_at_once(world):
 
 
 def test_an_error_no_key_can_say_beside_one_that_can(world):
-    plan, block, _ = world
-    spoilt = written(world, AttitudeConvention("opk", "grid", "gon"), read_as=GRID)
+    spoilt = written(world, AttitudeConvention("opk", "grid", "gon"))
     result = result_of(world, replace(spoilt, attitudes=spoilt.attitudes * np.array([1.0, 1.0, -1.0])))
     assert result.attitudes[0].reading.mistakes == 2
     assert finding(result, "no key").value == "# kappa counts clockwise"
@@ -199,6 +198,10 @@ def test_a_shift_that_no_candidate_explains(world):
     result = result_of(world, written(world, GRID, positions=centres))
     assert not result.explained
     assert result.best.control.mean[2] == pytest.approx(-47.3, abs=0.5)
+    assert finding(result, "photos.heights").sure == "undecided"
+    assert finding(result, "adjusted_in").sure == "undecided"
+    assert finding(result, "photos.angles").sure == "practically certain"
+    assert any("no pair of height systems" in line for line in result.undecided)
     assert any("DHHN2016" in name for name in vertical_names(11.6, 48.7))
 
 
@@ -224,6 +227,17 @@ def test_what_cannot_be_audited(world):
         result_of(world, written(world, GRID), single)
     with pytest.raises(InputError, match="must have shape"):
         replace(observations, c_px=np.ones(3))
+
+
+def test_attitudes_that_nothing_explains(world):
+    """Attitudes at random: what fits best is not called certain."""
+    random = np.random.default_rng(8)
+    block = written(world, GRID)
+    turned = replace(block, attitudes=block.attitudes + random.normal(0.0, 1.0, block.attitudes.shape))
+    result = result_of(world, turned)
+    assert result.attitudes[0].total_px > 20.0
+    assert {f.sure for f in result.findings} <= {"undecided", "likely"}
+    assert any("miss each other" in line for line in result.undecided)
 
 
 def test_slope_of_a_pattern():

@@ -21,7 +21,9 @@ _MARGIN_DEG: Final = 2.0
 _FEET_TOLERANCE: Final = 0.01
 
 
-def check_coordinates(frame: MapFrame, xy: ArrayLike, what: str, file: object | None = None) -> None:
+def check_coordinates(
+    frame: MapFrame, xy: ArrayLike, what: str, file: object | None = None, *, tolerated: float = 0.0
+) -> None:
     """Check that map positions lie in the area of use of their CRS.
 
     Parameters
@@ -33,6 +35,8 @@ def check_coordinates(frame: MapFrame, xy: ArrayLike, what: str, file: object | 
         What they are, for the message: "projection centres".
     file : path, optional
         Where they come from.
+    tolerated : float
+        Share of them that may lie outside.
 
     Raises
     ------
@@ -43,7 +47,7 @@ def check_coordinates(frame: MapFrame, xy: ArrayLike, what: str, file: object | 
     points = np.asarray(xy, dtype=np.float64)[..., :2].reshape(-1, 2)
     points = points[np.isfinite(points).all(axis=1)]
     inside = _inside(frame.crs, points)
-    if inside.all():
+    if inside.all() or np.mean(~inside) <= tolerated:
         return
     for reason, changed in _mistakes(frame, points):
         if _inside(frame.crs, changed).all():

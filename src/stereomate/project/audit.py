@@ -18,6 +18,7 @@ from stereomate.frames.audit.findings import Audit, audit
 from stereomate.frames.audit.observations import AuditObservations, WrittenBlock
 from stereomate.frames.audit.readings import HeightCandidate
 from stereomate.frames.audit.vertical import grid_file_candidate, vertical_names, world_geoids
+from stereomate.frames.checks import check_coordinates
 from stereomate.frames.heights import HeightSystem
 from stereomate.frames.mapframe import MapFrame
 from stereomate.project.control import read_control
@@ -113,6 +114,7 @@ def _audit_points(
     plain = MapFrame(written.frame.crs, HeightSystem.ellipsoidal())
     middle = plain.geodetic_from_map([*written.positions[:, :2].mean(axis=0), 0.0])
     lon, lat = float(middle[0]), float(middle[1])
+    check_coordinates(plain, observations.reference, "known points", path, tolerated=0.5)
     candidates = _height_candidates(file, path, frame, lon, lat)
     nothing_meets: InputError | None = None
     try:

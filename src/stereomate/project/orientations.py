@@ -29,6 +29,7 @@ from stereomate.formats.orientation_table import (
     read_orientation_table,
 )
 from stereomate.frames.attitude import AttitudeAxes, AttitudeConvention, AttitudeKind, object_from_camera
+from stereomate.frames.checks import check_coordinates
 from stereomate.frames.crs import WGS84
 from stereomate.frames.heights import HeightSystem
 from stereomate.frames.mapframe import MapFrame
@@ -126,8 +127,13 @@ def read_orientations(section: OrientationSection, reading: Reading) -> WrittenO
     if kind == "auto":
         kind = "opensfm" if path.suffix.lower() == ".json" else "table"
     if kind == "opensfm":
-        return _from_opensfm(section, reading, read_opensfm(path))
-    return _from_table(section, reading, read_orientation_table(path, section.columns, section.separator))
+        written = _from_opensfm(section, reading, read_opensfm(path))
+    else:
+        table = read_orientation_table(path, section.columns, section.separator)
+        written = _from_table(section, reading, table)
+    # Strays are left out one by one later; a mistake in the declaration moves all.
+    check_coordinates(written.frame, written.positions, "projection centres", path, tolerated=0.5)
+    return written
 
 
 def height_system(text: str | None, default: HeightSystem, reading: Reading, field: str) -> HeightSystem:

@@ -16,10 +16,7 @@ from stereomate.frames.audit.ranking import (
     Hypothesis,
     PatternSlope,
     accuracy_m,
-    adjusted_in,
     attitude_score,
-    certainty,
-    decide,
     flying_height_m,
     ground_height,
     ordered_attitudes,
@@ -27,7 +24,22 @@ from stereomate.frames.audit.ranking import (
     rank_attitudes,
     rank_hypotheses,
 )
-from stereomate.frames.audit.readings import HeightCandidate, attitude_readings, combined_readings
+from stereomate.frames.audit.readings import (
+    AttitudeReading,
+    HeightCandidate,
+    attitude_readings,
+    combined_readings,
+)
+from stereomate.frames.audit.sentences import (
+    Finding,
+    adjusted_finding,
+    attitude_findings,
+    compared_only,
+    evidence_sentences,
+    explains,
+    height_findings,
+    unexplained,
+)
 from stereomate.frames.factors import grid_factors
 
 # Points that the many first trials use; the survivors are judged with all.
@@ -38,28 +50,7 @@ _HOPELESS: Final = 1000.0
 _MEET_PX: Final = 3.0
 _FEW: Final = 40
 _HOPEFUL: Final = 12
-_UNDECIDED: Final = 4.0
 _CERTAIN: Final = 25.0
-
-
-@dataclass(frozen=True)
-class Finding:
-    """What to put in the project file, and how sure that is.
-
-    Attributes
-    ----------
-    key, value : str
-        ``photos.heights`` and the like, and its value as TOML.
-    sure : str
-        ``practically certain``, ``very likely``, ``likely``, ``undecided``.
-    sentence : str
-        Why.
-    """
-
-    key: str
-    value: str
-    sure: str
-    sentence: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,9 +97,8 @@ class Audit:
 
     @property
     def explained(self) -> bool:
-        """Whether known points are met to within three standard deviations in height."""
-        parts = [part for part in (self.best.points, self.best.control) if part is not None]
-        return all(abs(part.mean[2]) < 3.0 * self.accuracy_m for part in parts)
+        """Whether known points are met to within three standard deviations in plan and height."""
+        return explains(self.best, self.accuracy_m)
 
 
 def audit(
@@ -136,15 +126,7 @@ def audit(
     declared = (orientation_heights[0], reference_heights[0])
     fits = _attitude_fits(small, block, orientation_heights)
     allowed = [fit.reading for fit in fits if attitude_score(fit, fits[0]) < _CERTAIN][:3]
-    pairs = [(o, r) for r in reference_heights for o in orientation_heights]
-    pairs.sort(key=lambda pair: pair != declared)
-    if not used.known.any():
-        pairs = [declared]
-    elif len(pairs) > 1:
-        first = rank_hypotheses(small, allowed[:1], pairs)
-        near = [h for h in first if h.score < first[0].score + _HOPELESS]
-        kept = [(h.heights, h.reference_heights) for h in near]
-        pairs = [pair for pair in pairs if pair in kept or pair == declared]
+    pairs = _hopeful_pairs(small, allowed[:1], orientation_heights, reference_heights)
     evaluator = Evaluator(block, used)
     ranked = rank_hypotheses(evaluator, allowed or [fits[0].reading], pairs)
     reading = attitude_readings(block.convention)[0]
@@ -152,20 +134,24 @@ def audit(
     excess, slope = _scale_pattern(evaluator, ranked)
     sigma = accuracy_m(evaluator)
     undecided: list[str] = []
-    findings = _attitude_findings(fits, undecided)
+    findings = attitude_findings(fits, undecided)
     if used.known.any():
-        findings += _height_findings(ranked, pairs, undecided)
-        findings.append(_adjusted_finding(ranked, evaluator, excess, sigma, undecided))
+        findings += height_findings(ranked, pairs, undecided)
+        findings.append(adjusted_finding(ranked, evaluator, excess, sigma, undecided))
+        if not explains(ranked[0], sigma):
+            findings = unexplained(findings, ranked[0], sigma, undecided)
     else:
         undecided.append(
             "without points of known ground nothing tells the heights' kind, nor whether the centres come "
             f"from an adjustment in the grid: the two meanings lie {excess:+.3f} m apart in height here"
         )
+    if fits[0].total_px > _MEET_PX:
+        findings = compared_only(findings, fits[0], undecided)
     return Audit(
         attitudes=fits,
         ranked=ranked,
         findings=tuple(findings),
-        evidence=tuple(_evidence(evaluator, ranked, fits, turn, excess, slope)),
+        evidence=tuple(evidence_sentences(evaluator, ranked, fits, turn, excess, slope)),
         undecided=tuple(undecided),
         turn=turn,
         accuracy_m=sigma,
@@ -174,6 +160,26 @@ def audit(
         slope=slope,
         observations=used,
     )
+
+
+def _hopeful_pairs(
+    evaluator: Evaluator,
+    attitudes: Sequence[AttitudeReading],
+    orientation_heights: Sequence[HeightCandidate],
+    reference_heights: Sequence[HeightCandidate],
+) -> list[Heights]:
+    """Pairs of height systems that are not far off in a sample, the declared one first."""
+    declared = (orientation_heights[0], reference_heights[0])
+    if not evaluator.observations.known.any():
+        return [declared]
+    pairs = [(o, r) for r in reference_heights for o in orientation_heights]
+    pairs.sort(key=lambda pair: pair != declared)
+    if len(pairs) == 1:
+        return pairs
+    first = rank_hypotheses(evaluator, attitudes, pairs)
+    near = [h for h in first if h.score < first[0].score + _HOPELESS]
+    kept = [(h.heights, h.reference_heights) for h in near]
+    return [pair for pair in pairs if pair in kept or pair == declared]
 
 
 def _attitude_fits(
@@ -214,183 +220,3 @@ def _scale_pattern(evaluator: Evaluator, ranked: Sequence[Hypothesis]) -> tuple[
     )
     slope = None if space is None else pattern_slope(space.differences[:, 2], pattern)
     return float(np.nanmean(pattern)), slope
-
-
-def _attitude_findings(fits: Sequence[AttitudeFit], undecided: list[str]) -> list[Finding]:
-    """One finding for each key that the best reading sets; readings that fit as well stay open."""
-    best, second = fits[0], fits[1]
-    for fit in fits[1:]:
-        if attitude_score(fit, best) < _UNDECIDED:
-            undecided.append(
-                f"angles {fit.reading.name}: {fit.total_px:.3f} px against {best.total_px:.3f} px of the "
-                f"best ({best.reading.name}); the photographs are too nearly level, or flown too straight"
-            )
-    sentence = f"{best.reading.name}: image residuals {best.total_px:.3g} px"
-    found = []
-    if best.reading.unsaid:
-        words = ", ".join(best.reading.unsaid)
-        other = next((fit for fit in fits if fit.reading.unsaid != best.reading.unsaid), None)
-        margin = np.inf if other is None else attitude_score(other, best)
-        found.append(
-            Finding("photos (no key says it)", f"# {words}", certainty(margin), f"{sentence}; {_next(other)}")
-        )
-    elif not best.reading.keys:
-        sure = certainty(attitude_score(second, best))
-        found.append(
-            Finding("photos (no key says it)", f"# {best.reading.name}", sure, f"{sentence}; {_next(second)}")
-        )
-    for key, value in best.reading.keys:
-        other = next((fit for fit in fits if dict(fit.reading.keys).get(key) != value), None)
-        margin = np.inf if other is None else attitude_score(other, best)
-        found.append(Finding(key, value, certainty(margin), f"{sentence}; {_next(other)}"))
-    return found
-
-
-def _next(fit: AttitudeFit | None) -> str:
-    if fit is None or not np.isfinite(fit.total_px):
-        return "no other reading makes the rays meet"
-    return f"{fit.total_px:.3g} px for the next, {fit.reading.name}"
-
-
-def _height_findings(
-    ranked: Sequence[Hypothesis], pairs: Sequence[Heights], undecided: list[str]
-) -> list[Finding]:
-    best = ranked[0]
-    if len(pairs) == 0:
-        return []
-    found = []
-    for key, word, part in (
-        ("photos.heights", "the orientation's heights", lambda h: h.heights.value),
-        ("control.heights", "the control's heights", lambda h: h.reference_heights.value),
-    ):
-        decision = decide(ranked, part)
-        candidate = best.heights if key.startswith("photos") else best.reference_heights
-        sentence = f"{word} are {candidate.name}"
-        if decision.other is not None:
-            sentence += (
-                f"; otherwise known points would differ by {_height_of(decision.other):+.3f} m in height"
-            )
-        else:
-            sentence += "; every other kind that was tried is far off"
-        found.append(Finding(key, candidate.value, decision.sure, sentence))
-    same = [h for h in ranked if h.heights.name == h.reference_heights.name]
-    if len({h.heights.name for h in same if h.score < best.score + 4.0}) > 1:
-        undecided.append(
-            "orientation and known points are in one height system; the data do not tell which (the geoid is "
-            "too even over the block)"
-        )
-    return found
-
-
-def _adjusted_finding(
-    ranked: Sequence[Hypothesis], evaluator: Evaluator, excess: float, sigma: float, undecided: list[str]
-) -> Finding:
-    best = ranked[0]
-    decision = decide(ranked, adjusted_in)
-    value = adjusted_in(best)
-    words = {
-        "grid": "the centres come from an adjustment in the grid and carry its scale in their heights",
-        "space": "the centres are true positions",
-    }
-    sentence = words[value]
-    if decision.other is not None:
-        sentence += (
-            f"; read the other way, known points would lie {_height_of(decision.other):+.3f} m in height "
-            f"(here {_height_of(best):+.3f} m); (tau_e - 1) H is {excess:+.3f} m"
-        )
-    if value == "grid":
-        known = evaluator.reference_map(best.reference_heights)
-        ground = ground_height(evaluator.observations, known)
-        if ground is not None:
-            sentence += f"; the scale acts about the mean height of the control, {ground:.1f} m ellipsoidal"
-    undecided += _ways_of_the_grid(ranked, decision.decided)
-    if abs(excess) < 2.0 * sigma:
-        undecided.append(
-            f"adjusted in the grid or in space: the two lie only {abs(excess):.3f} m apart here, less than "
-            f"twice the accuracy of {sigma:.3f} m"
-        )
-    elif decision.decided:
-        undecided.append(
-            f"an error of another origin of the same size and sign ({excess:+.3f} m in all heights) would "
-            "look the same as the scale of the grid"
-        )
-    return Finding("photos.adjusted_in", f'"{value}"', decision.sure, sentence)
-
-
-def _ways_of_the_grid(ranked: Sequence[Hypothesis], decided: bool) -> list[str]:
-    """Which of the ways to adjust in the grid cannot be told apart."""
-    best = ranked[0]
-    alike = {
-        h.work: h
-        for h in ranked
-        if (h.heights, h.reference_heights, h.attitude)
-        == (best.heights, best.reference_heights, best.attitude)
-    }
-    if "curvature" not in alike or "cartesian" not in alike or (adjusted_in(best) == "space" and decided):
-        return []
-    curved, plain = alike["curvature"], alike["cartesian"]
-    apart = abs(_height_of(curved) - _height_of(plain))
-    margin = abs(curved.score - plain.score)
-    if margin >= 9.0:
-        return []
-    return [
-        (
-            "whether that adjustment corrected the image coordinates for Earth curvature: with and without "
-            f"it heights differ by {apart:.3f} m (image residuals {np.hypot(*curved.image_rms_px):.3f} and "
-            f"{np.hypot(*plain.image_rms_px):.3f} px)"
-        )
-    ]
-
-
-def _height_of(h: Hypothesis) -> float:
-    """Mean height difference to known points: all, else control."""
-    part = h.points or h.control
-    return np.nan if part is None else part.mean[2]
-
-
-def _evidence(
-    evaluator: Evaluator,
-    ranked: Sequence[Hypothesis],
-    fits: Sequence[AttitudeFit],
-    turn: CommonTurn | None,
-    excess: float,
-    slope: PatternSlope | None,
-) -> list[str]:
-    block, best = evaluator.block, ranked[0]
-    middle = block.positions[:, :2].mean(axis=0)
-    _, gamma = grid_factors(block.crs, middle[0], middle[1])
-    lines = [
-        (
-            f"{len(evaluator.observations.names)} points, {len(evaluator.observations.point_of)} rays, "
-            f"{len(block.positions)} photographs; flying height {flying_height_m(evaluator):.0f} m; "
-            f"differences are judged by {accuracy_m(evaluator):.3f} m"
-        )
-    ]
-    x, y = best.image_rms_px
-    lines.append(f"image residuals {x:.3f} / {y:.3f} px (x, y) after forward intersection")
-    for name, part in (("known points", best.points), ("control", best.control)):
-        if part is not None:
-            mean = " ".join(f"{value:+.3f}" for value in part.mean)
-            std = " ".join(f"{value:.3f}" for value in part.std)
-            lines.append(f"{name} ({part.count}): mean {mean} m, standard deviation {std} m")
-    if turn is not None:
-        about = ", ".join(
-            f"{value:+.4f} ± {sigma:.4f}" for value, sigma in zip(turn.about_deg, turn.sigma_deg, strict=True)
-        )
-        lines.append(
-            f"y-parallaxes ask for a common turn of all photographs as declared by {about} degrees about "
-            f"east, north and up; the convergence of the grid is {np.rad2deg(float(gamma)):+.4f} degrees"
-        )
-    if slope is not None and adjusted_in(best) == "grid":
-        told = "" if slope.told else "; the scale varies too little over the block for that to prove anything"
-        lines.append(
-            f"read as true positions, heights follow the pattern of the scale over the block with a slope of "
-            f"{slope.slope:.2f} ± {slope.sigma:.2f} (1: the scale, 0: a constant){told}"
-        )
-    space = next((h for h in ranked if h.work == "space" and h.heights == best.heights), None)
-    if space is not None and np.isfinite(_height_of(space)):
-        lines.append(
-            f"read as true positions, points lie {_height_of(space):+.3f} m in height; (tau_e - 1) H is "
-            f"{excess:+.3f} m"
-        )
-    return lines
