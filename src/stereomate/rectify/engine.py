@@ -21,7 +21,7 @@ from stereomate.rectify.job import RectifyJob
 from stereomate.rectify.kernels.seams import balance as balance_pixels
 from stereomate.rectify.kernels.seams import mix
 from stereomate.rectify.kernels.serve import LEFT_SEES, RIGHT_SEES
-from stereomate.rectify.kernels.warp import warp
+from stereomate.rectify.kernels.warp import clear_invalid, warp
 from stereomate.rectify.layout import StereoModel
 from stereomate.rectify.radiometry import TABLE_NODES, Balance
 from stereomate.rectify.readers import reader_of
@@ -110,7 +110,7 @@ def _render(job: RectifyJob, ground: Ground, pixels: Pixels, side: Side, name: s
         if mixed is not None:
             for p in np.unique(mixed[0][mixed[0] > 0]):
                 _mix(job, ground, pixels, nodes[int(p) - 1], int(p) - 1, mixed, Part(out, valid, photograph))
-    out[valid == 0] = 0
+    clear_invalid(out, valid)
     return Part(out, valid, photograph)
 
 

@@ -7,6 +7,7 @@ metre of height: the camera-frame point of a pixel is exactly linear in its heig
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -158,3 +159,14 @@ def move(map_x: Floats32, map_y: Floats32, dx: float, dy: float) -> None:
         for c in range(cols):
             map_x[r, c] += dx
             map_y[r, c] += dy
+
+
+@kernel
+def clear_invalid(pixels: NDArray[Any], valid: NDArray[np.uint8]) -> None:
+    """Set the bands of pixels (rows, cols, bands) to 0 where valid (rows, cols) is 0, in one pass."""
+    rows, cols, bands = pixels.shape
+    for i in range(rows):
+        for j in range(cols):
+            if valid[i, j] == 0:
+                for band in range(bands):
+                    pixels[i, j, band] = 0
