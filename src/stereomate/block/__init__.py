@@ -1,0 +1,1 @@
+"""Blocks of photographs: tie points, start values, adjustment and its statistics."""
