@@ -73,7 +73,9 @@ def test_ngi_figures_of_the_report_are_at_or_below_those_of_the_sketch(ngi):
         ("orthophoto_against_stereomate", SKETCH_MATE),
     ):
         found = record[key]
-        assert found["count"] > 150
+        assert found["count"] > sketch["count"]
+        # Blocks drawn anew: larger than independent matches would give, and no excuse for a large median.
+        assert 0.003 < max(found["standard_error_px"]) < 0.03
         at_or_below(found["median_px"], found["nmad_px"], found["count"], sketch)
     low, high = record["parallax_range_px"]
     assert low < 3.0

@@ -18,7 +18,9 @@ import stereomate.project.run as running
 from stereomate.cli import main
 from stereomate.errors import CoverageError, FormatError, ImageError, OrientationError
 from stereomate.rectify.engine import rectify_window
+from stereomate.stereo.agreement import measure_agreement
 from stereomate.stereo.product import product_record, read_products
+from stereomate.terrain.model import HeightModel
 from stereomate.tiles.plan import TilePlan
 
 
@@ -160,6 +162,22 @@ def test_measured_parallaxes_are_recorded(made):
     assert found["count"] > 30
     assert np.abs(found["median_px"]).max() < 0.1
     assert np.max(found["nmad_px"]) < 0.3
+
+
+def test_a_wrong_height_model_shows_in_the_agreement_by_base_over_height(made):
+    """Heights 3 m too high: features move to the nadir of their photograph, left against right by B/H dh."""
+    job = made.products[0].product.job
+    high = HeightModel.from_array(
+        job.heights.patch(0, 0, *job.heights.shape[::-1]).heights + 3.0, job.heights.affine, job.heights.frame
+    )
+    found = measure_agreement(dataclasses.replace(job, heights=high))
+    served = [m for m in job.models if m.right >= 0 and m.penalty < 0.3]
+    expected = -3.0 * np.mean([m.base_u_m / m.height_above_ground_m for m in served]) / job.grid.gsd
+    assert expected < -1.0
+    for statistics in (found.ortho_ortho, found.ortho_mate):
+        assert statistics.count > 30
+        assert statistics.median_px[0] == pytest.approx(expected, rel=0.08)
+        assert abs(statistics.median_px[1]) < 0.1
 
 
 def test_stac_item_says_that_the_two_belong_together(made):

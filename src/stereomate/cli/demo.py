@@ -95,7 +95,7 @@ def _make(
 
 def _errors(survey: SyntheticSurvey, result: RunResult) -> list[dict[str, Any]]:
     """What was compared with the truth: name, value, what it must stay below, unit."""
-    from stereomate.stereo.agreement import measure_agreement, sample_windows
+    from stereomate.stereo.agreement import measure_agreement
     from stereomate.stereo.product import read_products
     from stereomate.synthetic.truth import matched_error, warp_error
 
@@ -113,7 +113,7 @@ def _errors(survey: SyntheticSurvey, result: RunResult) -> list[dict[str, Any]]:
             add(f"{prefix}{kind}: positions, rms", found.rms_px, 0.05, "px", found.count)
         made = next((r.agreement for r in result.products if r.product.job.name == job.name), None)
         if made is None:
-            made = measure_agreement(job, sample_windows(job.grid.size, 512, 12))
+            made = measure_agreement(job)
         match = matched_error(survey, job, made)
         for axis, name in enumerate(("x-parallax less q(h)", "y-parallax")):
             add(f"{prefix}matched {name}, median", match.median_px[axis], 0.05, "px", match.count)

@@ -177,13 +177,22 @@ def _agreement_table(agreement: Agreement) -> Table:
         ("orthophoto against stereomate, minus q(h)", agreement.ortho_mate),
     ):
         if s.count:
-            cells = [f"{v:+.3f}" for v in s.median_px] + [f"{v:.3f}" for v in s.nmad_px]
+            cells = [_with_error(*v) for v in zip(s.median_px, s.standard_error_px, strict=True)]
+            cells += [f"{v:.3f}" for v in s.nmad_px]
             cells += [f"{v:.2f}" for v in s.largest_px]
         else:
             cells = ["–"] * 6
         rows.append((name, str(s.count), *cells))
     headings = ("pixels", "matches", "median x", "median y", "nmad x", "nmad y", "largest x", "largest y")
-    return Table(headings, tuple(rows), "Measured by image matching on a sample of windows; left minus right")
+    said = (
+        "Measured by image matching on a sample of windows; left minus right. ± is the standard error of the "
+        "median: neighbours share the error of the height model, so whole blocks are drawn anew for it."
+    )
+    return Table(headings, tuple(rows), said)
+
+
+def _with_error(median: float, error: float) -> str:
+    return f"{median:+.3f}" if math.isnan(error) else f"{median:+.3f} ± {error:.3f}"
 
 
 def _agreement_pictures(out: Path, made: ProductResult, agreement: Agreement) -> list[Picture]:

@@ -10,7 +10,7 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from stereomate import __version__
 from stereomate.coverage.summary import Coverage, survey_coverage
@@ -25,7 +25,7 @@ from stereomate.rectify.job import RectifyJob
 from stereomate.rectify.planning import Request, plan_products
 from stereomate.rectify.readers import close_readers
 from stereomate.rectify.task import LINEAGE, MATE, ORTHO, ChunkTask, lineage_profile, product_profile
-from stereomate.stereo.agreement import Agreement, measure_agreement, sample_windows
+from stereomate.stereo.agreement import Agreement, measure_agreement
 from stereomate.stereo.product import (
     ProductFiles,
     StereoProduct,
@@ -37,10 +37,6 @@ from stereomate.tiles.ledger import Ledger, run_key
 from stereomate.tiles.plan import TilePlan
 
 LOG = logging.getLogger(__name__)
-
-# Windows in which left and right are matched, and their edge in pixels.
-AGREEMENT_WINDOWS: Final = 12
-AGREEMENT_PX: Final = 512
 
 # stage, done, total
 ProgressSink = Callable[[str, int, int], None]
@@ -324,7 +320,7 @@ def _make_product(
     agreement = None
     if job.is_stereo and options.agreement:
         report(f"agreement{_suffix(job)}", 0, 1)
-        agreement = measure_agreement(job, sample_windows(job.grid.size, AGREEMENT_PX, AGREEMENT_WINDOWS))
+        agreement = measure_agreement(job)
         report(f"agreement{_suffix(job)}", 1, 1)
     hashes = {file: file_digest(out / file) for file in files.values()}
     product = StereoProduct(

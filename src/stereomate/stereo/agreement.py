@@ -8,43 +8,72 @@ y-parallax, of what a person sees in stereo. Left minus right, in product pixels
 
 from __future__ import annotations
 
+import itertools
+import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from stereomate.measurement.least_squares_matching import LeastSquaresOptions, match_least_squares
 from stereomate.raster import Window
 from stereomate.rectify.engine import Part, orthophoto_part, stereomate_part
 from stereomate.rectify.ground import ground_of, heights_of
 from stereomate.rectify.job import RectifyJob
+from stereomate.rectify.serving import camera_nodes, models_of_window
 
 Floats = NDArray[np.float64]
 
 NMAD = 1.4826
 
+# Weakest corner that is matched, as a share of the strongest of its window.
+_LEAST_CORNER: Final = 0.002
+# Edges of the blocks that are drawn anew for the error of a median, how many there must be, and how often.
+_BLOCKS_PX: Final = (256, 128, 64)
+_LEAST_BLOCKS: Final = 8
+_DRAWS: Final = 200
+_SEED: Final = 1
+
 
 @dataclass(frozen=True)
-class MatchOptions:
-    """How parallaxes are measured: normalised cross-correlation, then sub-pixel.
+class AgreementOptions:
+    """Where and how parallaxes are measured: normalised cross-correlation, then least-squares matching.
 
     Attributes
     ----------
+    windows : int
+        Windows in which points are matched, spread over the product, as far as there is common ground.
+    window_px : int
+        Largest edge of a window.
+    points : int
+        At most so many, the same share for each window.
     template_px : int
-        Edge of the template, odd.
+        Edge of the template of the correlation, odd.
     search_px : int
         Search on each side of the predicted position.
     min_correlation : float
-        Weaker peaks are not used.
+        Weaker peaks are not refined.
+    radius_px : int
+        Of the window of the least-squares matching, whose affine part takes up the slope of the parallax.
     spacing_px : int
         Least distance of points.
     """
 
+    windows: int = 12
+    window_px: int = 512
+    points: int = 4800
     template_px: int = 21
     search_px: int = 5
-    min_correlation: float = 0.8
-    spacing_px: int = 12
+    min_correlation: float = 0.6
+    radius_px: int = 8
+    spacing_px: int = 10
+
+    @property
+    def reach_px(self) -> int:
+        """Pixels around a point that its measurement looks at."""
+        return max(self.template_px // 2, self.radius_px) + self.search_px + 3
 
 
 @dataclass(frozen=True)
@@ -59,12 +88,16 @@ class ParallaxStatistics:
         NaN without matches.
     largest_px : (x, y)
         Largest parallax in absolute value.
+    standard_error_px : (x, y)
+        Of the median. Neighbouring residuals share the error of the height model between its nodes and are
+        not independent, so whole blocks of the product are drawn anew (bootstrap); NaN with too few blocks.
     """
 
     count: int
     median_px: tuple[float, float]
     nmad_px: tuple[float, float]
     largest_px: tuple[float, float]
+    standard_error_px: tuple[float, float] = (math.nan, math.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,74 +138,128 @@ class Agreement:
         }
 
 
-def statistics(residuals: Floats) -> ParallaxStatistics:
-    """Robust statistics of residual parallaxes (n, 2)."""
+def statistics(residuals: Floats, pixels: Floats) -> ParallaxStatistics:
+    """Robust statistics of residual parallaxes (n, 2) at product pixels (n, 2)."""
+    nothing = (math.nan, math.nan)
     if len(residuals) == 0:
-        nothing = (float("nan"), float("nan"))
-        return ParallaxStatistics(0, nothing, nothing, nothing)
+        return ParallaxStatistics(0, nothing, nothing, nothing, nothing)
     median = np.median(residuals, axis=0)
     nmad = NMAD * np.median(np.abs(residuals - median), axis=0)
     largest = np.abs(residuals).max(axis=0)
-    return ParallaxStatistics(len(residuals), _pair(median), _pair(nmad), _pair(largest))
+    error = _standard_error(residuals, pixels)
+    return ParallaxStatistics(len(residuals), _pair(median), _pair(nmad), _pair(largest), error)
 
 
-def sample_windows(size: tuple[int, int], edge: int, count: int) -> list[Window]:
-    """About `count` windows of `edge` pixels spread evenly over a raster."""
-    cols, rows = max(1, size[0] // edge), max(1, size[1] // edge)
-    cells = [(c, r) for r in range(rows) for c in range(cols)]
-    step = max(1.0, len(cells) / count)
-    chosen = [cells[int((k + 0.5) * step)] for k in range(min(count, len(cells)))]
-    pad_x, pad_y = (size[0] - cols * edge) // 2, (size[1] - rows * edge) // 2
-    return [
-        Window(max(pad_x, 0) + c * edge, max(pad_y, 0) + r * edge, min(edge, size[0]), min(edge, size[1]))
-        for c, r in chosen
-    ]
-
-
-def measure_agreement(
-    job: RectifyJob, windows: list[Window], options: MatchOptions | None = None
-) -> Agreement:
-    """Match orthophoto against orthophoto and against stereomate in windows of the product."""
-    options = options or MatchOptions()
-    plain, stereo, points, parallaxes = [], [], [], []
-    for window in windows:
-        left = _copy(orthophoto_part(job, window, "left"))
-        if not left.valid.any():
+def _standard_error(residuals: Floats, pixels: Floats) -> tuple[float, float]:
+    """Of the medians, by drawing blocks with replacement: the largest blocks of which there are enough."""
+    for edge in _BLOCKS_PX:
+        cells = np.floor(pixels / edge).astype(np.int64)
+        names, block = np.unique(cells, axis=0, return_inverse=True)
+        if len(names) < _LEAST_BLOCKS:
             continue
-        texture = _texture_points(left, options)
+        members = [np.flatnonzero(block == k) for k in range(len(names))]
+        rng = np.random.default_rng(_SEED)
+        drawn = [
+            np.median(residuals[np.concatenate([members[k] for k in choice])], axis=0)
+            for choice in rng.integers(0, len(names), (_DRAWS, len(names)))
+        ]
+        return _pair(np.std(drawn, axis=0, ddof=1))
+    return math.nan, math.nan
+
+
+def sample_windows(size: tuple[int, int], edge: int) -> list[Window]:
+    """Windows of at most `edge` pixels that cover a raster without overlap, neighbours far apart in the list.
+
+    Whoever takes the first few of them has a sample of the whole raster.
+    """
+    cols, rows = (math.ceil(n / edge) for n in size)
+    count = cols * rows
+    # Steps of about the golden section of the count visit every cell once, far from the ones before.
+    step = next(k for k in itertools.count(round(0.618 * count)) if math.gcd(k, count) == 1)
+    x, y = ([k * n // parts for k in range(parts + 1)] for n, parts in zip(size, (cols, rows), strict=True))
+    order = (divmod(k * step % count, cols) for k in range(count))
+    return [Window(x[c], y[r], x[c + 1] - x[c], y[r + 1] - y[r]) for r, c in order]
+
+
+def measure_agreement(job: RectifyJob, options: AgreementOptions | None = None) -> Agreement:
+    """Match orthophoto against orthophoto and against stereomate in windows of the product."""
+    options = options or AgreementOptions()
+    plain, stereo = _Matches([], [], []), _Matches([], [], [])
+    windows = _sample(job, options)
+    for window in windows:
         right = _copy(orthophoto_part(job, window, "right"))
-        _, residual = _matched(left, right, texture, np.zeros(len(texture)), 0, options)
-        plain.append(residual)
+        left = _copy(orthophoto_part(job, window, "left"))
+        texture = _texture_points(left, right, options.points // len(windows), options)
+        if len(texture) == 0:
+            continue
+        plain.add(window, *_matched(left, right, texture, np.zeros(len(texture)), 0, options))
         heights = heights_of(job, ground_of(job, window), "ortho heights")
         q = _parallax_px(job, heights, texture)
-        at, residual, shown = _match_stereomate(job, window, left, texture, q, options)
-        pixels = at + np.array([window.col0 + 0.5, window.row0 + 0.5])
-        points.append(job.grid.map_from_pixel(pixels))
-        stereo.append(residual)
-        parallaxes.append(shown)
-    residuals = np.concatenate([*stereo, np.empty((0, 2))])
+        stereo.add(window, *_match_stereomate(job, window, left, texture, q, options))
+    pixels, residuals, parallaxes = stereo.joined()
+    plain_pixels, plain_residuals, _ = plain.joined()
     return Agreement(
-        statistics(np.concatenate([*plain, np.empty((0, 2))])),
-        statistics(residuals),
-        np.concatenate([*points, np.empty((0, 2))]),
+        statistics(plain_residuals, plain_pixels),
+        statistics(residuals, pixels),
+        job.grid.map_from_pixel(pixels),
         residuals,
-        np.concatenate([*parallaxes, np.empty(0)]),
+        parallaxes,
     )
 
 
+def _sample(job: RectifyJob, options: AgreementOptions) -> list[Window]:
+    """The windows to match in, with what the measurement looks at around them."""
+    reach = options.reach_px
+    chosen: list[Window] = []
+    for core in sample_windows(job.grid.size, options.window_px):
+        window = Window(core.col0 - reach, core.row0 - reach, core.cols + 2 * reach, core.rows + 2 * reach)
+        ground = ground_of(job, window)
+        if ground.is_void:
+            continue
+        models = models_of_window(job, ground, camera_nodes(job, ground))
+        if any(model.right >= 0 for model in models):
+            chosen.append(window)
+        if len(chosen) == options.windows:
+            break
+    return chosen
+
+
+@dataclass(frozen=True)
+class _Matches:
+    """Matches of several windows: product pixels, residual parallaxes, and the law's share."""
+
+    pixels: list[Floats]
+    residuals: list[Floats]
+    parallaxes: list[Floats]
+
+    def add(self, window: Window, at: Floats, residuals: Floats, parallaxes: Floats) -> None:
+        """Matches of one window; `at` in its pixels."""
+        self.pixels.append(at + np.array([window.col0, window.row0]))
+        self.residuals.append(residuals)
+        self.parallaxes.append(parallaxes)
+
+    def joined(self) -> tuple[Floats, Floats, Floats]:
+        """All of them."""
+        nothing = np.empty((0, 2))
+        return (
+            np.concatenate([*self.pixels, nothing]),
+            np.concatenate([*self.residuals, nothing]),
+            np.concatenate([*self.parallaxes, nothing[:, 0]]),
+        )
+
+
 def _match_stereomate(
-    job: RectifyJob, window: Window, left: Part, texture: Floats, q: Floats, options: MatchOptions
+    job: RectifyJob, window: Window, left: Part, texture: Floats, q: Floats, options: AgreementOptions
 ) -> tuple[Floats, Floats, Floats]:
     known = np.isfinite(q)
     texture, q = texture[known], q[known]
     if len(q) == 0:
         return np.empty((0, 2)), np.empty((0, 2)), np.empty(0)
     # The ground of the window lies in the stereomate between these columns.
-    first = window.col0 - int(np.ceil(q.max())) - options.search_px - options.template_px
-    last = window.col1 - int(np.floor(q.min())) + options.search_px + options.template_px
+    first = window.col0 - math.ceil(q.max()) - options.reach_px
+    last = window.col1 - math.floor(q.min()) + options.reach_px
     mate = stereomate_part(job, Window(first, window.row0, last - first, window.rows))
-    kept, residual = _matched(left, mate, texture, q, window.col0 - first, options)
-    return texture[kept], residual, q[kept]
+    return _matched(left, mate, texture, q, window.col0 - first, options)
 
 
 def _parallax_px(job: RectifyJob, heights: NDArray[np.float32], points: Floats) -> Floats:
@@ -180,61 +267,59 @@ def _parallax_px(job: RectifyJob, heights: NDArray[np.float32], points: Floats) 
     return np.asarray(job.law.q(heights[rows, cols].astype(np.float64))) / job.grid.gsd
 
 
-def _texture_points(part: Part, options: MatchOptions) -> Floats:
-    grey = _grey(part.pixels)
-    edge = options.template_px // 2 + options.search_px + 1
-    inner = cv2.erode(part.valid, np.ones((2 * edge + 1, 2 * edge + 1), np.uint8), borderValue=0)
-    found = cv2.goodFeaturesToTrack(grey, 400, 0.01, options.spacing_px, mask=inner)
-    return np.empty((0, 2)) if found is None else found[:, 0, :].astype(np.float64)
+def _texture_points(left: Part, right: Part, most: int, options: AgreementOptions) -> Floats:
+    """Centres of at most so many pixels with texture on ground that both show, off the window's border."""
+    edge = options.reach_px
+    both = np.minimum(left.valid, right.valid)
+    inner = cv2.erode(both, np.ones((2 * edge + 1, 2 * edge + 1), np.uint8), borderValue=0)
+    grey = _grey(left.pixels)
+    found = cv2.goodFeaturesToTrack(grey, max(most, 1), _LEAST_CORNER, options.spacing_px, mask=inner)
+    return np.empty((0, 2)) if found is None else found[:, 0, :].astype(np.float64) + 0.5
 
 
 def _matched(
-    left: Part, right: Part, points: Floats, q: Floats, offset: int, options: MatchOptions
-) -> tuple[NDArray[np.int64], Floats]:
-    """Indices of the points that match, and their (x-parallax - q, y-parallax)."""
+    left: Part, right: Part, points: Floats, q: Floats, offset: int, options: AgreementOptions
+) -> tuple[Floats, Floats, Floats]:
+    """Points that match, (x-parallax - q, y-parallax), and q; `right` begins `offset` columns earlier."""
     a, b = _grey(left.pixels), _grey(right.pixels)
-    kept, residuals = [], []
-    for k, (x, y) in enumerate(points):
-        predicted = x - q[k] + offset
-        found = _correlate(a, b, right.valid, (round(x), round(y)), round(predicted), options)
-        if found is not None:
-            parallax = (round(x) + offset - found[0], round(y) - found[1])
-            kept.append(k)
-            residuals.append((parallax[0] - q[k], parallax[1]))
-    return np.array(kept, np.int64), np.array(residuals, np.float64).reshape(-1, 2)
+    predicted = points + np.column_stack([offset - q, np.zeros(len(q))])
+    found = np.array(
+        [_correlate(a, b, right.valid, at, to, options) for at, to in zip(points, predicted, strict=True)]
+    ).reshape(-1, 2)
+    matches = match_least_squares(
+        a, b, points, found, options=LeastSquaresOptions(radius_px=options.radius_px)
+    )
+    good = matches.matched
+    parallax = points[good] + [offset, 0] - matches.right_px[good]
+    parallax[:, 0] -= q[good]
+    return points[good], parallax, q[good]
 
 
 def _correlate(
     a: NDArray[np.uint8],
     b: NDArray[np.uint8],
     valid: NDArray[np.uint8],
-    at: tuple[int, int],
-    predicted: int,
-    options: MatchOptions,
-) -> tuple[float, float] | None:
-    """Sub-pixel position in `b` of the template around `at` in `a`; None if there is no good peak inside."""
+    at: Floats,
+    to: Floats,
+    options: AgreementOptions,
+) -> tuple[float, float]:
+    """Where the template around the pixel `at` in `a` is most like `b` near `to`; NaN if nowhere enough."""
     half, search = options.template_px // 2, options.search_px
-    x, y = at
+    x, y = math.floor(at[0]), math.floor(at[1])
+    predicted = math.floor(to[0])
     reach = half + search
     if y - reach < 0 or y + reach >= b.shape[0] or predicted - reach < 0 or predicted + reach >= b.shape[1]:
-        return None
+        return math.nan, math.nan
     area = (slice(y - reach, y + reach + 1), slice(predicted - reach, predicted + reach + 1))
+    if not valid[area].all():
+        return math.nan, math.nan
     template = a[y - half : y + half + 1, x - half : x + half + 1]
-    if not valid[area].all() or template.shape != (2 * half + 1, 2 * half + 1):
-        return None
     score = cv2.matchTemplate(b[area], template, cv2.TM_CCOEFF_NORMED)
-    row, col = np.unravel_index(int(np.argmax(score)), score.shape)
-    if not (0 < row < 2 * search and 0 < col < 2 * search) or score[row, col] < options.min_correlation:
-        return None
-    dx = _peak(score[row, col - 1], score[row, col], score[row, col + 1])
-    dy = _peak(score[row - 1, col], score[row, col], score[row + 1, col])
-    return predicted + int(col) - search + dx, y + int(row) - search + dy
-
-
-def _peak(before: float, at: float, after: float) -> float:
-    """Vertex of the parabola through three values."""
-    bend = before - 2.0 * at + after
-    return 0.0 if bend >= 0.0 else float(0.5 * (before - after) / bend)
+    row, col = divmod(int(np.argmax(score)), score.shape[1])
+    inside = 0 < row < 2 * search and 0 < col < 2 * search
+    if not inside or score[row, col] < options.min_correlation:
+        return math.nan, math.nan
+    return predicted + col - search + 0.5, y + row - search + 0.5
 
 
 def _grey(pixels: NDArray[Any]) -> NDArray[np.uint8]:
