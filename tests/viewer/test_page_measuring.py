@@ -1,0 +1,71 @@
+"""The page's own exact measuring against Python's, in a real browser."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+MEASURE = """async ([base, pairs, sigma]) => {
+  const { Product } = await import(base + 'product.js');
+  const product = await Product.open(base + 'data/0');
+  const out = [];
+  for (const [left, right] of pairs) {
+    const m = await product.measure(left, right, sigma);
+    out.push({ point: m.point, sigma: m.sigma, covariance: m.covariance, law: m.lawHeight, flags: m.flags,
+               photographs: m.photographs, miss: m.miss, y: m.yParallax, degrees: m.degrees,
+               standardized: m.standardized, ground: m.groundHeight });
+  }
+  return out;
+}"""
+
+
+def in_page(browser, address, pairs, sigma_px):
+    page = browser.new_page()
+    page.goto(address + "product.js")
+    found = page.evaluate(MEASURE, [address, [[a.tolist(), b.tolist()] for a, b in pairs], sigma_px])
+    page.close()
+    return found
+
+
+def random_pairs(job, count, seed):
+    """Positions all over the product, objects from 3 m below the ground to 15 m above it, and a little y."""
+    rng = np.random.default_rng(seed)
+    left = rng.uniform((0.0, 0.0), job.grid.size, (count, 2))
+    height = rng.uniform(*job.height_range, count) + rng.uniform(-3.0, 15.0, count)
+    right = left - np.column_stack([job.law.q(height) / job.grid.gsd, rng.normal(0.0, 0.3, count)])
+    return left, right
+
+
+@pytest.fixture(scope="module")
+def both(product, browser, address):
+    job = product.job
+    left, right = random_pairs(job, 250, 1)
+    python = product.measure(job.grid.map_from_pixel(left), job.grid.map_from_pixel(right))
+    return python, in_page(browser, address, list(zip(left, right, strict=True)), 0.3)
+
+
+def test_points_equal_python(both):
+    python, page = both
+    measured = python.measured
+    assert measured.sum() > 60
+    assert [m["point"] is not None for m in page] == measured.tolist()
+    points = np.array([m["point"] for m in page if m["point"]])
+    np.testing.assert_allclose(points, python.points[measured], atol=5e-4)
+    sigma = np.array([m["sigma"] for m in page if m["point"]])
+    np.testing.assert_allclose(sigma, python.sigma[measured], rtol=1e-4)
+    covariance = np.array([m["covariance"] for m in page if m["point"]])
+    scale = np.sqrt(np.einsum("nii,njj->nij", python.covariance[measured], python.covariance[measured]))
+    np.testing.assert_allclose(covariance / scale, python.covariance[measured] / scale, atol=1e-4)
+    miss = np.array([m["miss"] for m in page if m["point"]])
+    np.testing.assert_allclose(miss, python.miss_m[measured], atol=1e-4)
+
+
+def test_flags_and_lineage_equal_python(both):
+    python, page = both
+    np.testing.assert_array_equal([m["photographs"] for m in page], python.photographs)
+    # the page does not trace rays to the height model
+    hidden = 256
+    np.testing.assert_array_equal([m["flags"] & ~hidden for m in page], python.flags & ~hidden)
+    measured = python.measured
+    law = np.array([m["law"] for m in page])[measured]
+    np.testing.assert_allclose(law, python.law_heights[measured], atol=1e-9)
