@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from stereomate.camera.distortion import BrownDistortion
 from stereomate.camera.model import Camera
 from stereomate.cli.main import run
-from stereomate.errors import ImageError
+from stereomate.errors import ImageError, NotDeterminedError
 from stereomate.frames.adjusted import space_from_grid_centres
 from stereomate.frames.attitude import AttitudeConvention, object_from_camera
 from stereomate.frames.heights import HeightSystem
@@ -30,6 +30,11 @@ from stereomate.relative.automatic import (
     photo_features,
 )
 from stereomate.relative.elements import dependent_elements, independent_elements
+from stereomate.relative.empirical.measured import Laying, measured_photographs
+from stereomate.relative.empirical.procedure import dependent_pair
+from stereomate.relative.empirical.projectors import model_points as instrument_points
+from stereomate.relative.empirical.projectors import y_parallaxes
+from stereomate.relative.empirical.run import EmpiricalOptions, run_empirical
 from stereomate.relative.pair import RelativePose
 from stereomate.relative.sixpoints import six_points
 
@@ -87,6 +92,34 @@ def test_two_pictures_are_oriented_to_the_truth(made_pair):
     assert max(abs(z.y_parallax) for z in zones) < 0.05
     again = orient_photographs(*made_pair, CAMERA, CAMERA, FEW)
     np.testing.assert_array_equal(again.orientation.pose.base, orientation.pose.base)
+
+
+def test_the_pair_on_the_instrument(made_pair):
+    """Points chosen among the matches, oriented by hand: what least squares over all matches finds."""
+    result = orient_photographs(*made_pair, CAMERA, CAMERA, FEW)
+    pair = measured_photographs(result, (CAMERA, CAMERA), ("a", "b"), Laying(5, flying_height_m=1600.0))
+    assert pair.start.base == pytest.approx(1000.0, rel=0.05)
+    places = dict(zip(pair.model.names, instrument_points(pair.model, pair.given), strict=True))
+    for near, far in (("1", "2"), ("3", "4"), ("5", "6")):
+        assert places[near][0] < places[far][0] - 200.0
+    assert places["3"][1] < places["1"][1] - 200.0
+    assert places["5"][1] > places["1"][1] + 200.0
+    # A pixel is 5.3 m there; matches are good to a tenth of one.
+    assert np.abs(y_parallaxes(pair.model, pair.given)).max() < 2.0
+    assert pair.pixel == pytest.approx(0.01 / 3.0, rel=1e-6)
+    hand = run_empirical(pair.model, pair.start, dependent_pair(), options=EmpiricalOptions(cycles=3))
+    assert abs(hand.parallaxes[-1, :6]).max() < 2.0
+    for key, allowed in (("omega", 0.15), ("phi", 0.3), ("kappa", 0.15)):
+        error = getattr(hand.settings[-1].right, key) - getattr(pair.given.right, key)
+        assert abs(np.degrees(error)) < allowed, key
+    # The other way round: base, sides and profiles turn with it.
+    swapped = orient_photographs(*made_pair[::-1], CAMERA, CAMERA, FEW)
+    back = measured_photographs(swapped, (CAMERA, CAMERA), ("b", "a"), Laying(5, base_m=1000.0))
+    assert np.abs(y_parallaxes(back.model, back.given)).max() < 2.0
+    assert instrument_points(back.model, back.given)[:, 2].max() < -1000.0
+    blank = orient_photographs(made_pair[0], made_pair[0] * 0, CAMERA, CAMERA, FEW)
+    with pytest.raises(NotDeterminedError, match="a and b: only 0 matches"):
+        measured_photographs(blank, (CAMERA, CAMERA), ("a", "b"))
 
 
 def test_what_is_known_narrows_the_search(made_pair):
@@ -151,6 +184,22 @@ def test_command_writes_record_and_pictures(made_pair, tmp_path: Path, capsys):
         picture = cv2.imread(str(tmp_path / "f" / f"{name}.png"))
         assert picture is not None
         assert picture.std() > 5.0
+    with pytest.raises(SystemExit) as end:
+        run(["empirical", left, right, *common, "--json"])
+    assert end.value.code == 0
+    by_hand = json.loads(capsys.readouterr().out)
+    assert by_hand["outcome"] == "cleared"
+    # Laid in by whole degrees, the tilt is still the tilt; one section is worth a few hundredths of a degree.
+    found = np.degrees(by_hand["settings"][-1]["right"]["omega"])
+    assert found == pytest.approx(record["dependent"]["omega_deg"], abs=0.2)
+    with pytest.raises(SystemExit) as end:
+        run(["empirical", left, blank, *common])
+    assert end.value.code == 2
+    assert "matches" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as end:
+        run(["empirical", left, right])
+    assert end.value.code == 2
+    assert "--camera" in capsys.readouterr().err
     with pytest.raises(SystemExit) as end:
         run(["relative", left, blank, *common, "--json"])
     assert end.value.code == 2

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class _PairInput:
+class PairInput:
     """The two photographs: files, names, cameras, and what the project knows of them."""
 
     files: tuple[Path, Path]
@@ -64,8 +64,8 @@ def _relative(
 
     if (camera is None) == (project is None):
         raise InputError("must be given, one of the two", field="--camera or --project")
-    pair = _of_project(project, left, right) if project is not None else _of_files(camera, left, right)
-    images = [_grey(file) for file in pair.files]
+    pair = _of_project(project, left, right) if project is not None else pair_of_files(camera, left, right)
+    images = [grey_photograph(file) for file in pair.files]
     result = _orient(pair, images, largest_side, seed)
     if output is not None:
         _write_record(output, result, pair)
@@ -84,7 +84,8 @@ def _relative(
         raise NotDeterminedError(f"{names} are not oriented: {'; '.join(result.reasons)}")
 
 
-def _of_files(camera: Path | None, left: str, right: str) -> _PairInput:
+def pair_of_files(camera: Path | None, left: str, right: str) -> PairInput:
+    """Two photographs by their files, with the cameras of a file."""
     from stereomate.errors import InputError
     from stereomate.project.cameras import load_cameras
 
@@ -92,12 +93,12 @@ def _of_files(camera: Path | None, left: str, right: str) -> _PairInput:
     cameras = load_cameras(camera)
     if len(cameras) > 2:
         raise InputError("must have one camera, or two", file=camera, field="camera", value=len(cameras))
-    return _PairInput(
+    return PairInput(
         (Path(left), Path(right)), (Path(left).name, Path(right).name), (cameras[0], cameras[-1])
     )
 
 
-def _of_project(path: Path, left: str, right: str) -> _PairInput:
+def _of_project(path: Path, left: str, right: str) -> PairInput:
     import numpy as np
 
     from stereomate.errors import ProjectError
@@ -132,7 +133,7 @@ def _of_project(path: Path, left: str, right: str) -> _PairInput:
         reach = 0.05 + 3.0 * base / above * loaded.ground.relief_m / above
         focal = one.camera.principal_distance_mm * _pixels_per_mm(one.camera)
         prior = Prior(pose, above / base, reach * focal)
-    return _PairInput((one.path, other.path), (one.name, other.name), (one.camera, other.camera), prior, pose)
+    return PairInput((one.path, other.path), (one.name, other.name), (one.camera, other.camera), prior, pose)
 
 
 def _pixels_per_mm(camera: Camera) -> float:
@@ -142,7 +143,7 @@ def _pixels_per_mm(camera: Camera) -> float:
 
 
 def _orient(
-    pair: _PairInput, images: list[NDArray[np.uint8]], largest_side: int, seed: int
+    pair: PairInput, images: list[NDArray[np.uint8]], largest_side: int, seed: int
 ) -> AutomaticOrientation:
     from stereomate.relative.automatic import AutomaticOptions, orient_photographs
     from stereomate.relative.orientation import RelativeOptions
@@ -155,7 +156,8 @@ def _orient(
     return orient_photographs(images[0], images[1], left, right, options, pair.prior)
 
 
-def _grey(file: Path) -> NDArray[np.uint8]:
+def grey_photograph(file: Path) -> NDArray[np.uint8]:
+    """A whole photograph in grey."""
     from stereomate.measurement.features import grey_image
     from stereomate.raster import open_photo
 
@@ -164,7 +166,7 @@ def _grey(file: Path) -> NDArray[np.uint8]:
 
 
 def _write_figures(
-    folder: Path, result: AutomaticOrientation, pair: _PairInput, images: list[NDArray[np.uint8]]
+    folder: Path, result: AutomaticOrientation, pair: PairInput, images: list[NDArray[np.uint8]]
 ) -> None:
     from stereomate.errors import StorageError
     from stereomate.measurement.features import reduced_image
@@ -183,7 +185,7 @@ def _write_figures(
         save_figure(six_point_picture(result, pair.names), folder / "six-points.png")
 
 
-def _write_record(path: Path, result: AutomaticOrientation, pair: _PairInput) -> None:
+def _write_record(path: Path, result: AutomaticOrientation, pair: PairInput) -> None:
     import json
     import os
 
@@ -199,7 +201,7 @@ def _write_record(path: Path, result: AutomaticOrientation, pair: _PairInput) ->
         raise StorageError(f"{path}: cannot write the record ({error.strerror})") from error
 
 
-def _print(result: AutomaticOrientation, pair: _PairInput) -> None:
+def _print(result: AutomaticOrientation, pair: PairInput) -> None:
     import math
 
     from stereomate.relative.summary import available_elements, element_rows

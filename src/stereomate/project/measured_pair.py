@@ -3,58 +3,32 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.coverage.survey import Photograph
 from stereomate.errors import NotDeterminedError
-from stereomate.geometry.rotations import opk_from_rotation, rotation_z
+from stereomate.geometry.rotations import rotation_z
 from stereomate.measurement.features import grey_image
 from stereomate.project.model import Project
 from stereomate.project.orientation_sections import PairGeometry, ProjectSectionOptions, project_sections
 from stereomate.raster import open_photo
 from stereomate.relative.automatic import orient_photographs
-from stereomate.relative.empirical.projectors import Projector, Setting, StereoModel
+from stereomate.relative.empirical.measured import (
+    MeasuredPair,
+    dependent_setting,
+    pixel_angle,
+    require_six,
+    section_labels,
+)
+from stereomate.relative.empirical.projectors import Setting, StereoModel
 from stereomate.terrain.sections import section_axes
 
 FloatArray = NDArray[np.float64]
 
 # Part of the left photograph's diagonal within which a match stands for a chosen point.
 _REACH = 0.12
-
-
-@dataclass(frozen=True)
-class MeasuredPair:
-    """Orientation points of a pair, ready for the instrument.
-
-    Attributes
-    ----------
-    names : (str, str)
-        Left and right photograph.
-    model : StereoModel
-        Points 1 to 6 (1, 3, 5 nearest to the left centre, 2, 4, 6 to the right one) and those of the
-        sections between as ``p1.1``, ``p1.3``, ``p1.5`` and so on; photographs laid in by whole degrees.
-    profiles : tuple of (str, str, str)
-        Points of every section.
-    start : Setting
-        All motions at zero.
-    given : Setting
-        What the orientation of the project says, for the dependent pair with the right projector moved.
-    failed : tuple of str
-        Points that could not be matched.
-    pixel : float
-        Angle of a pixel in radians: y-parallaxes below it times the flying height are of the measurement.
-    """
-
-    names: tuple[str, str]
-    model: StereoModel
-    profiles: tuple[tuple[str, str, str], ...]
-    start: Setting
-    given: Setting
-    failed: tuple[str, ...]
-    pixel: float
 
 
 def measured_pair(
@@ -85,14 +59,13 @@ def measured_pair(
             f"{names[0]} and {names[1]}: {len(geometry.points)} cross-sections with three usable points, "
             "two are needed for six orientation points"
         )
-    labels, points, profiles = _labelled(geometry, flipped=geometry.names[0] != names[0])
+    labels, profiles = section_labels(len(geometry.points))
+    points = _sections_from_left(geometry, flipped=geometry.names[0] != names[0])
     left, right = (project.survey.photographs[project.survey.index(name)] for name in names)
     left_px, right_px = _match(left, right, points)
     matched: NDArray[np.bool_] = np.asarray(np.isfinite(right_px).all(axis=1))
     missing = [label for label, good in zip(labels, matched, strict=True) if not good]
-    six = [label for label in missing if not label.startswith("p")]
-    if six:
-        raise NotDeterminedError(f"{names[0]} and {names[1]}: no match at point {', '.join(six)}")
+    require_six(names, missing)
     kept = [label for label, good in zip(labels, matched, strict=True) if good]
     turns = [_laid_in(project, left, right, photo) for photo in (left, right)]
     vectors = [
@@ -105,25 +78,19 @@ def measured_pair(
         model=StereoModel(tuple(kept), vectors[0], vectors[1]),
         profiles=tuple(profile for profile in profiles if set(profile) <= set(kept)),
         start=Setting(base),
-        given=_dependent(base, turns[0][1], turns[1][1]),
+        given=dependent_setting(base, turns[0][1], turns[1][1]),
         failed=tuple(missing),
-        pixel=max(_pixel_angle(photo) for photo in (left, right)),
+        pixel=max(pixel_angle(photo.camera) for photo in (left, right)),
     )
 
 
-def _labelled(
-    geometry: PairGeometry, flipped: bool
-) -> tuple[list[str], FloatArray, list[tuple[str, str, str]]]:
-    """Names and places of all points, sections from the left to the right photograph."""
+def _sections_from_left(geometry: PairGeometry, flipped: bool) -> FloatArray:
+    """Places of the points of all sections, from the left to the right photograph, shape (3 k, 3)."""
     sections = list(geometry.points)
     if flipped:
         # Seen from the other end the base is turned, and 3 and 5 change sides.
         sections = [points[[0, 2, 1]] for points in reversed(sections)]
-    profiles = [("1", "3", "5")]
-    profiles += [(f"p{k}.1", f"p{k}.3", f"p{k}.5") for k in range(1, len(sections) - 1)]
-    profiles.append(("2", "4", "6"))
-    labels = [label for profile in profiles for label in profile]
-    return labels, np.concatenate(sections), profiles
+    return np.concatenate(sections)
 
 
 def _match(left: Photograph, right: Photograph, points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -154,12 +121,6 @@ def _match(left: Photograph, right: Photograph, points: FloatArray) -> tuple[Flo
     return found[0], found[1]
 
 
-def _pixel_angle(photo: Photograph) -> float:
-    middle = np.array(photo.camera.size_px) / 2.0
-    rays = photo.camera.rays_from_image(np.stack((middle, middle + np.array([0.0, 1.0]))))
-    return float(np.linalg.norm(rays[1] - rays[0]))
-
-
 def _laid_in(
     project: Project, left: Photograph, right: Photograph, photo: Photograph
 ) -> tuple[FloatArray, FloatArray]:
@@ -170,11 +131,3 @@ def _laid_in(
     swing = math.degrees(math.atan2(base_from_camera[1, 0], base_from_camera[0, 0]))
     turn = rotation_z(math.radians(round(swing)))
     return turn, base_from_camera @ turn.T
-
-
-def _dependent(base: float, left: FloatArray, right: FloatArray) -> Setting:
-    """The given orientation as elements of the right projector, the left one at zero, with bx as `base`."""
-    direction = left.T @ np.array([1.0, 0.0, 0.0])
-    omega, phi, kappa = opk_from_rotation(left.T @ right).tolist()
-    by, bz = (base * direction[1:] / direction[0]).tolist()
-    return Setting(base, right=Projector(by, bz, omega, phi, kappa))

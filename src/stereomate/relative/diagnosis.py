@@ -168,7 +168,8 @@ def diagnose(
 def model_points(pose: RelativePose, correspondences: Correspondences) -> Array:
     """Points of the model where the rays come closest, seen along the base; shape (n, 3), in bases.
 
-    x along the base, z depth away from the cameras in the mean viewing direction, y = z × x.
+    x along the base, y across it to the left, z depth away from the cameras in the mean viewing direction:
+    the axes of a cross-section.
     """
     left = np.column_stack([correspondences.left, -np.ones(len(correspondences))])
     right = np.column_stack([correspondences.right, -np.ones(len(correspondences))])
@@ -187,7 +188,7 @@ def model_points(pose: RelativePose, correspondences: Correspondences) -> Array:
         view = np.cross(pose.base, np.array([0.0, 1.0, 0.0]))
         length = float(np.linalg.norm(view))
     down = view / length
-    axes = np.stack([pose.base, np.cross(down, pose.base), down])
+    axes = np.stack([pose.base, np.cross(pose.base, down), down])
     points: Array = middle @ axes.T
     return points
 

@@ -1,7 +1,7 @@
 """The six orientation points of von Gruber in a model of many points: what the y-parallax is around each.
 
 Numbers as Kasper has them: 1 and 2 in the middle of the strip at the left and right end of the overlap, 3 and
-4 on one side of it (+y), 5 and 6 on the other.
+4 to the right of the base (-y), 5 and 6 to its left, as in cross-sections and on the instrument.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from stereomate.relative.pair import Correspondences, RelativePose
 Array = NDArray[np.float64]
 
 # Column and row of the zone of each point: left or right end, middle or one of the sides.
-_ZONES = {1: (0, 0), 2: (1, 0), 3: (0, 1), 4: (1, 1), 5: (0, -1), 6: (1, -1)}
+_ZONES = {1: (0, 0), 2: (1, 0), 3: (0, -1), 4: (1, -1), 5: (0, 1), 6: (1, 1)}
 
 
 @dataclass(frozen=True)
