@@ -10,7 +10,9 @@ from pathlib import Path
 import pytest
 
 from stereomate.errors import FormatError, ProjectError
+from stereomate.frames.heights import HeightSystem
 from stereomate.project import reading
+from stereomate.project.orientations import Reading, read_orientations
 from stereomate.project.reading import migrated, parse_project
 from stereomate.project.schema import (
     CameraSection,
@@ -161,12 +163,23 @@ def test_wrong_keys(document, path, value, message):
         parse_project(changed(document, path, value), NAME)
 
 
-@pytest.mark.parametrize("key", ["project.crs", "project.heights", "photos.files", "photos.orientation"])
+@pytest.mark.parametrize("key", ["project.crs", "project.heights", "photos.files"])
 def test_required_keys(document, key):
     section, name = key.split(".")
     del document[section][name]
     with pytest.raises(ProjectError, match=rf"{section}\.{name}: must be given"):
         parse_project(document, NAME)
+
+
+def test_without_orientation_a_project_can_be_oriented_but_not_run(document, tmp_path):
+    del document["photos"]["orientation"]
+    file = parse_project(document, NAME)
+    assert file.photos.orientation == ""
+    reading = Reading(NAME, "photos", tmp_path, file.project.crs, HeightSystem.undeclared())
+    with pytest.raises(ProjectError, match=r"photos\.orientation: must be given.*stereomate orient"):
+        read_orientations(file.photos, reading)
+    with pytest.raises(ProjectError, match=r"photos\.compare\.orientation must be given"):
+        parse_project(changed(document, "photos.compare", {"crs": "EPSG:4326"}), NAME)
 
 
 def test_all_that_is_wrong_is_named(document):

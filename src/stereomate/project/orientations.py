@@ -122,6 +122,12 @@ def read_orientations(section: OrientationSection, reading: Reading) -> WrittenO
     ProjectError, FormatError, OrientationError, CrsError, HeightSystemError
         Naming the file, the key or column, the rule and the value.
     """
+    if not section.orientation:
+        raise reading.error(
+            "orientation",
+            "must be given",
+            hint="the table of orientations, or reconstruction.json; stereomate orient makes one",
+        )
     path = reading.folder / section.orientation
     kind = section.orientation_format
     if kind == "auto":

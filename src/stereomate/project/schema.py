@@ -32,6 +32,9 @@ Pair = Annotated[tuple[str, str], Field(strict=False)]
 Pairs = Annotated[tuple[Pair, ...], Field(strict=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+Sigmas = Annotated[tuple[Positive, Positive, Positive], Field(strict=False)]
+Parameter = Literal["principal_distance", "principal_point", "k1", "k2", "k3", "k4", "p1", "p2", "b1", "b2"]
+Calibrated = Annotated[tuple[Parameter, ...], Field(strict=False)]
 
 AnglesAxes = Literal["grid", "local", "tangent", "rph"]
 AngleOrder = Literal["omega-phi-kappa", "phi-omega-kappa"]
@@ -133,9 +136,12 @@ class CameraSection(Section):
 
 
 class OrientationSection(Section):
-    """Where orientations come from and what their numbers mean: shared by [photos] and [photos.compare]."""
+    """Where orientations come from and what their numbers mean: shared by [photos] and [photos.compare].
 
-    orientation: str
+    `orientation` is empty where there is none yet: `stereomate orient` makes one.
+    """
+
+    orientation: str = ""
     orientation_format: Literal["auto", "table", "opensfm"] = "auto"
     columns: Names | None = None
     separator: str | None = None
@@ -204,6 +210,10 @@ class ControlSection(Section):
     heights: str | None = None
     columns: Names | None = None
     separator: str | None = None
+    measurements: str | None = None
+    check: Names = ()
+    sigma_m: Sigmas | None = None
+    measurement_sigma_px: Positive = 0.5
 
 
 class ObservationsSection(Section):
@@ -211,6 +221,23 @@ class ObservationsSection(Section):
 
     files: str | Names
     points: str | None = None
+
+
+class OrientSection(Section):
+    """``[orient]``: how `stereomate orient` finds the orientation of the photographs."""
+
+    positions: Literal["auto", "exif", "none"] = "auto"
+    position_sigma_m: Sigmas | None = None
+    attitude_sigma_deg: Sigmas | None = None
+    calibrate: Literal["auto", "none"] | Calibrated = "auto"
+    tie_points: str | None = None
+    features: Annotated[int, Field(ge=200, le=100_000)] = 6000
+    largest_side_px: Annotated[int, Field(ge=400)] = 2200
+    points_per_photo: Annotated[int, Field(ge=20)] = 400
+    refine: bool = True
+    pairs: Literal["auto", "all"] = "auto"
+    significance: Annotated[float, Field(gt=0, lt=0.5)] = 0.001
+    power: Annotated[float, Field(gt=0, lt=1)] = 0.80
 
 
 class ProductsSection(Section):
@@ -255,7 +282,14 @@ class ProjectFile(Section):
     terrain: TerrainSection | None = None
     control: ControlSection | None = None
     observations: ObservationsSection | None = None
+    orient: OrientSection = OrientSection()
     products: ProductsSection = ProductsSection()
+
+    @model_validator(mode="after")
+    def _a_comparison_has_an_orientation(self) -> ProjectFile:
+        if self.photos.compare is not None and not self.photos.compare.orientation:
+            raise ValueError("photos.compare.orientation must be given")
+        return self
 
     @model_validator(mode="after")
     def _undeclared_heights_are_one_system(self) -> ProjectFile:
