@@ -16,6 +16,7 @@ Compression = Literal["zstd", "deflate", "jpeg", "webp"]
 Rotation = Literal["auto", "north-up"] | float
 DataType = Literal["uint8", "uint16", "int16", "float32"]
 Masking = Literal["auto", "mask", "nodata"]
+SeamKind = Literal["least-cost", "nearest"]
 
 # Highest level each codec knows; JPEG and WebP have a quality instead.
 _LEVELS: Final = {"zstd": 22, "deflate": 9}
@@ -64,6 +65,14 @@ class RectifyOptions:
         Type of the products; None keeps that of the photographs.
     bands : tuple of int or None
         Bands to take, counted from 1.
+    seams : "least-cost" or "nearest"
+        Where one model gives way to the next: along least-cost paths, or where the other one looks down more
+        steeply.
+    feather_px : float
+        Half width in product pixels of the strip along seams in which photographs are mixed, on open ground;
+        0 mixes nowhere.
+    balance : bool
+        Bring the photographs of a block to one brightness.
     strict : bool
         One bad photograph stops the run.
 
@@ -95,6 +104,9 @@ class RectifyOptions:
     nodata: float | None = None
     dtype: DataType | None = None
     bands: tuple[int, ...] | None = None
+    seams: SeamKind = "least-cost"
+    feather_px: float = 8.0
+    balance: bool = True
     strict: bool = False
 
     def __post_init__(self) -> None:
@@ -109,6 +121,9 @@ class RectifyOptions:
             _require(finite, name, "must be a finite number", self)
         _require(
             _finite(self.object_height_m) and self.object_height_m >= 0, "object_height_m", _NOT_NEG, self
+        )
+        _require(
+            _finite(self.feather_px) and 0 <= self.feather_px <= 100, "feather_px", "must be 0 to 100", self
         )
         self._check_rotation_and_bounds()
         self._check_encoding()
@@ -158,6 +173,7 @@ _CHOICES: Final[dict[str, Any]] = {
     "heights_interpolation": HeightsInterpolation,
     "compression": Compression,
     "masking": Masking,
+    "seams": SeamKind,
 }
 _INTEGER_RANGES: Final = {"uint8": (0, 255), "uint16": (0, 65535), "int16": (-32768, 32767)}
 

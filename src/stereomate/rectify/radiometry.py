@@ -2,10 +2,10 @@
 
 A photograph records ground of brightness L as
 
-    I(x, y) = L exp(g + a x + b y + v r^2 + w r^4)
+    I(x, y) = L exp(g + a x + b y + u x^2 + v y^2 + w r^4)
 
 per band, with x, y, r counted from its middle in half diagonals: a gain and a gradient of its own, and the
-vignetting that all photographs of a camera share. The logarithms are linear in the unknowns. Wherever two
+vignetting that all photographs of a camera share (round or not: masks and lenses differ). The logarithms are linear in the unknowns. Wherever two
 photographs show the same ground, L falls out of the difference of their logarithms: one observation.
 """
 
@@ -25,11 +25,12 @@ Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
 
-# Unknowns of a photograph (gain, two gradients) and of a camera (two of vignetting), per band.
+# Unknowns of a photograph (gain, two gradients) and of a camera (three of vignetting), per band.
 OWN: Final = 3
-SHARED: Final = 2
-# What is believed beforehand (natural logarithms): fixes what overlaps leave open, and no more than that.
-PRIOR_SIGMA: Final = (0.5, 0.2, 0.2, 0.5, 0.5)
+SHARED: Final = 3
+# What is believed beforehand (natural logarithms). Overlaps alone do not tell a block that grows brighter to
+# one side from photographs that all do, nor a bowl over the block from vignetting: the smaller one is taken.
+PRIOR_SIGMA: Final = (0.3, 0.05, 0.05, 0.5, 0.5, 0.5)
 # Differences of open ground scatter by about this much; larger ones than the limit are not the same ground.
 OBSERVATION_SIGMA: Final = 0.03
 _LIMIT_SIGMAS: Final = 3.0
@@ -71,14 +72,14 @@ class Balance:
 
     Attributes
     ----------
-    coefficients : tuple (photographs) of tuple (bands) of (g, a, b, v, w)
+    coefficients : tuple (photographs) of tuple (bands) of (g, a, b, u, v, w)
         As above; a photograph is multiplied by exp(-(...)).
     """
 
     coefficients: tuple[tuple[tuple[float, ...], ...], ...]
 
     def logarithm(self, photograph: int, positions: Floats) -> Floats:
-        """g + a x + b y + v r^2 + w r^4 (..., bands) at positions (..., 2) in half diagonals."""
+        """g + a x + b y + u x^2 + v y^2 + w r^4 (..., bands) at positions (..., 2) in half diagonals."""
         return np.asarray(design(positions) @ np.asarray(self.coefficients[photograph]).T)
 
     @cached_property
@@ -107,10 +108,9 @@ def photo_positions(pixels: Floats, size_px: tuple[int, int]) -> Floats:
 
 
 def design(positions: Floats) -> Floats:
-    """(1, x, y, r^2, r^4) at positions (..., 2)."""
+    """(1, x, y, x^2, y^2, r^4) at positions (..., 2)."""
     x, y = positions[..., 0], positions[..., 1]
-    r2 = x * x + y * y
-    return np.stack([np.ones_like(x), x, y, r2, r2 * r2], axis=-1)
+    return np.stack([np.ones_like(x), x, y, x * x, y * y, np.square(x * x + y * y)], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -174,9 +174,8 @@ def solve_balance(
 
 def _medians(values: Floats) -> tuple[float, ...]:
     """Median absolute value of each column; NaN without rows."""
-    if not len(values):
-        return (float("nan"),) * values.shape[1]
-    return tuple(float(v) for v in np.median(np.abs(values), axis=0).ravel())
+    nothing = float("nan")
+    return tuple([float(np.median(np.abs(v))) if v.size else nothing for v in values.T])
 
 
 def _matrix(samples: Samples, photographs: int, cameras: Sequence[int]) -> tuple[Any, Floats]:
@@ -222,7 +221,7 @@ def _robust(matrix: Any, prior: Floats, observed: Floats) -> tuple[Floats, Float
 
 
 def balance_record(balance: Balance | None) -> list[list[list[float]]] | None:
-    """Plain values for stereo.json: photographs, bands, (g, a, b, v, w)."""
+    """Plain values for stereo.json: photographs, bands, (g, a, b, u, v, w)."""
     if balance is None:
         return None
     return [[list(band) for band in photograph] for photograph in balance.coefficients]

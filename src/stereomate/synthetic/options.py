@@ -58,6 +58,12 @@ class SurveyOptions:
         Standard deviation of the sensor noise.
     exposure_sigma : float
         Relative scatter of the brightness of photographs.
+    vignetting : float
+        Light lost in the corners of the photograph.
+    colour_sigma : float
+        Relative scatter of the brightness of each band of each photograph, beside `exposure_sigma`.
+    gradient_sigma : float
+        Relative scatter of the brightness of each band from the middle of a photograph to its sides.
     samples : int
         Rays along each side of a pixel in which surfaces meet.
     """
@@ -87,6 +93,9 @@ class SurveyOptions:
     check_points: int = 12
     noise_dn: float = 1.5
     exposure_sigma: float = 0.02
+    vignetting: float = 0.12
+    colour_sigma: float = 0.0
+    gradient_sigma: float = 0.0
     samples: int = 2
 
     def __post_init__(self) -> None:
@@ -101,6 +110,9 @@ class SurveyOptions:
             "relief_m",
             "noise_dn",
             "exposure_sigma",
+            "vignetting",
+            "colour_sigma",
+            "gradient_sigma",
             "buildings",
             "trees",
             "control_points",

@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 from stereomate.coverage.survey import Photograph
 from stereomate.synthetic.kernels.curve import shift_terms
 from stereomate.synthetic.kernels.render import edge_pixels, rays_inside_pixels, shade_rays
+from stereomate.synthetic.options import SurveyOptions
 from stereomate.synthetic.world import SyntheticWorld
 from stereomate.tiles.executor import Executor, map_items
 
 Array = NDArray[np.float64]
 
 _BAND_ROWS: Final = 64
-# Light lost in the corners of the photograph.
-_VIGNETTING: Final = 0.12
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,18 +96,26 @@ def _shaded(world: SyntheticWorld, shifted: Array, rays: Array) -> tuple[Array, 
     return colours, surfaces, distances
 
 
+def light_of_photograph(
+    options: SurveyOptions, size_px: tuple[int, int], number: int, first: int, last: int
+) -> Array:
+    """What colours are multiplied by in rows first..last of a photograph, (rows, cols, 3)."""
+    cols, rows = size_px
+    rng = np.random.default_rng([options.seed, 11, number])
+    gain = 1.0 + options.exposure_sigma * rng.standard_normal()
+    colour = 1.0 + options.colour_sigma * rng.standard_normal(3)
+    gradient = options.gradient_sigma * rng.standard_normal((2, 3))
+    x = ((np.arange(cols) + 0.5 - 0.5 * cols) / (0.5 * cols))[None, :, None]
+    y = ((np.arange(first, last) + 0.5 - 0.5 * rows) / (0.5 * rows))[:, None, None]
+    fall = 1.0 - 0.5 * options.vignetting * (x**2 + y**2)
+    return np.asarray(gain * colour * (1.0 + gradient[0] * x + gradient[1] * y) * fall)
+
+
 def _exposed(band: _Band, colours: Array) -> NDArray[np.uint8]:
     """Digital numbers: vignetting, exposure of the photograph, noise of the sensor."""
     options = band.world.options
-    cols, rows = band.photograph.camera.size_px
-    gain = (
-        1.0
-        + options.exposure_sigma * np.random.default_rng([options.seed, 11, band.number]).standard_normal()
-    )
-    x = (np.arange(cols) + 0.5 - 0.5 * cols) / (0.5 * cols)
-    y = (np.arange(band.first, band.last) + 0.5 - 0.5 * rows) / (0.5 * rows)
-    light = gain * (1.0 - 0.5 * _VIGNETTING * (x[None, :] ** 2 + y[:, None] ** 2))
-    signal = (colours * light[..., None]).astype(np.float32)
+    light = light_of_photograph(options, band.photograph.camera.size_px, band.number, band.first, band.last)
+    signal = (colours * light).astype(np.float32)
     if options.noise_dn > 0.0:
         rng = np.random.default_rng([options.seed, 12, band.number, band.first])
         signal += np.float32(options.noise_dn) * rng.standard_normal(signal.shape, dtype=np.float32)
