@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -10,9 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from stereomate.camera.model import Camera
-from stereomate.errors import InputError, OrientationError, ProjectError
-from stereomate.formats.ign import GroundPoints, ImageObservations, read_ground_points, read_mes
+from stereomate.errors import InputError, ProjectError
 from stereomate.formats.orientation_table import read_orientation_table
 from stereomate.frames.audit.findings import Audit, audit
 from stereomate.frames.audit.observations import AuditObservations, WrittenBlock
@@ -21,8 +19,8 @@ from stereomate.frames.audit.vertical import grid_file_candidate, vertical_names
 from stereomate.frames.checks import check_coordinates
 from stereomate.frames.heights import HeightSystem
 from stereomate.frames.mapframe import MapFrame
-from stereomate.project.control import read_control
-from stereomate.project.loader import cameras_of, load, project_frame
+from stereomate.project.loader import load, project_frame
+from stereomate.project.observations import project_observations
 from stereomate.project.orientations import Reading, WrittenOrientations, read_orientations
 from stereomate.project.reading import read_project_file
 from stereomate.project.schema import UNDECLARED, OrientationSection, ProjectFile
@@ -112,24 +110,56 @@ def _audit_points(
     )
     observations = project_observations(file, path, written, notes)
     plain = MapFrame(written.frame.crs, HeightSystem.ellipsoidal())
-    middle = plain.geodetic_from_map([*written.positions[:, :2].mean(axis=0), 0.0])
-    lon, lat = float(middle[0]), float(middle[1])
     check_coordinates(plain, observations.reference, "known points", path, tolerated=0.5)
-    candidates = _height_candidates(file, path, frame, lon, lat)
+    candidates = height_candidates(file, path, frame, written.positions, written.frame.crs)
+    return audit_block(file, frame, block, observations, candidates)
+
+
+def audit_block(
+    file: ProjectFile,
+    frame: MapFrame,
+    block: WrittenBlock,
+    observations: AuditObservations,
+    candidates: list[HeightCandidate],
+    own: Sequence[HeightCandidate] = (),
+) -> tuple[Audit, list[HeightCandidate], tuple[str, ...]]:
+    """The audit of a block: heights in feet and above the world's geoids are tried where nothing else fits.
+
+    Parameters
+    ----------
+    frame : MapFrame
+        Of the project.
+    candidates : list of HeightCandidate
+        Height systems to try for orientation and known points.
+    own : sequence of HeightCandidate
+        Those of the orientation, where they are known.
+
+    Returns
+    -------
+    (Audit, list of HeightCandidate, tuple of str)
+        The systems that were tried, and the names of those registered for the place if none explains the
+        heights.
+
+    Raises
+    ------
+    InputError
+        If no reading makes rays meet.
+    """
     nothing_meets: InputError | None = None
     try:
-        result = _audited(file, block, observations, candidates)
+        result = _audited(file, block, observations, candidates, own)
     except InputError as error:
         nothing_meets = error
     else:
         if result.explained or not observations.known.any():
             return result, candidates, ()
+    lon, lat = _middle(block.crs, block.positions)
     tried = {candidate.text for candidate in candidates}
     more = [candidate for candidate in world_geoids(frame, lon, lat) if candidate.text not in tried]
     candidates = [*candidates, *more]
     candidates += [candidate.in_unit(FOOT, "feet") for candidate in candidates]
     try:
-        result = _audited(file, block, observations, candidates)
+        result = _audited(file, block, observations, candidates, own)
     except InputError as error:
         raise nothing_meets or error from None
     return result, candidates, () if result.explained else tuple(vertical_names(lon, lat))
@@ -140,6 +170,7 @@ def _audited(
     block: WrittenBlock,
     observations: AuditObservations,
     candidates: Sequence[HeightCandidate],
+    own: Sequence[HeightCandidate],
 ) -> Audit:
     """The audit with the declared systems first."""
 
@@ -148,7 +179,7 @@ def _audited(
         return sorted(candidates, key=lambda c: (c.text != declared, c.unit != ""))
 
     control = file.control.heights if file.control else None
-    return audit(block, observations, first(file.photos.heights), first(control))
+    return audit(block, observations, own or first(file.photos.heights), first(control))
 
 
 def written_orientations(
@@ -168,127 +199,26 @@ def written_orientations(
     return read_orientations(section, reading), frame
 
 
-def project_observations(
-    file: ProjectFile, path: Path, written: WrittenOrientations, notes: list[str]
-) -> AuditObservations:
-    """Image observations of a project in units of the principal distance, and what is known of points."""
-    section = file.observations
-    if section is None:
-        raise ProjectError("must be given", file=path, field="observations")
-    names = [section.files] if isinstance(section.files, str) else list(section.files)
-    tables = [(path.parent / name, read_mes(path.parent / name)) for name in names]
-    cameras = photo_cameras(file, path, written, notes)
-    known: dict[str, tuple[Array, bool]] = {}
-    if section.points is not None:
-        _add(known, read_ground_points(path.parent / section.points), control=False)
-    if file.control is not None:
-        _add(known, read_control(file.control, path.parent), control=True)
-    return observations_of(tables, written.names, cameras, known, notes)
+def _middle(crs: str, positions: Array) -> tuple[float, float]:
+    """Longitude and latitude of the middle of a block."""
+    plain = MapFrame(crs, HeightSystem.ellipsoidal())
+    lon, lat, _ = plain.geodetic_from_map([*positions[:, :2].mean(axis=0), 0.0])
+    return float(lon), float(lat)
 
 
-def _add(known: dict[str, tuple[Array, bool]], points: GroundPoints, *, control: bool) -> None:
-    for name, xyz in zip(points.names, points.xyz, strict=True):
-        known[name] = (xyz, control)
-
-
-def photo_cameras(
-    file: ProjectFile, path: Path, written: WrittenOrientations, notes: list[str]
-) -> tuple[Camera, ...]:
-    """The camera of each orientation, without looking at any photograph.
-
-    Raises
-    ------
-    ProjectError
-        If no camera is described, or several and a row names none of them.
-    """
-    known: Mapping[str, Camera] = cameras_of(file, path, notes) or written.camera_values
-    if not known:
-        raise ProjectError("must be given: no camera is described", file=path, field="camera")
-    only = next(iter(known.values())) if len(known) == 1 else None
-    cameras = []
-    for name, wanted in zip(written.names, written.cameras, strict=True):
-        camera = only or known.get(file.photos.camera or wanted or "")
-        if camera is None:
-            raise ProjectError(
-                f"photograph {name} must name one of {', '.join(known)}", file=written.source, value=wanted
-            )
-        cameras.append(camera)
-    return tuple(cameras)
-
-
-def observations_of(
-    tables: Iterable[tuple[Path, ImageObservations]],
-    photographs: Sequence[str],
-    cameras: Sequence[Camera],
-    known: Mapping[str, tuple[Array, bool]],
-    notes: list[str],
-) -> AuditObservations:
-    """Observations by index: points in the order they are first named, rays freed of distortion.
-
-    Raises
-    ------
-    OrientationError
-        If no observation is in an oriented photograph.
-    """
-    index = photograph_index(photographs)
-    names: dict[str, int] = {}
-    point_of, photo_of, pixels, strange = [], [], [], set()
-    for _, table in tables:
-        for point, photo, pixel in zip(table.points, table.photographs, table.pixels, strict=True):
-            k = index.get(photo, index.get(Path(photo).stem))
-            if k is None:
-                strange.add(photo)
-                continue
-            point_of.append(names.setdefault(point, len(names)))
-            photo_of.append(k)
-            pixels.append(pixel)
-    if not point_of:
-        raise OrientationError(
-            "no observation is in an oriented photograph", field="observations", value=sorted(strange)[:3]
-        )
-    if strange:
-        notes.append(f"observations in {len(strange)} photographs without orientation are left out")
-    points, photos, where = np.array(point_of), np.array(photo_of), np.array(pixels)
-    image, c_px = np.empty((len(points), 2)), np.empty(len(points))
-    for camera in dict.fromkeys(cameras):
-        rows = np.array([cameras[k] is camera for k in range(len(cameras))])[photos]
-        image[rows] = camera.rays_from_image(where[rows])[..., :2]
-        c_px[rows] = principal_distance_px(camera)
-    good = np.isfinite(image).all(axis=1)
-    if not good.all():
-        notes.append(f"{int((~good).sum())} observations lie outside the range of the camera's distortion")
-    reference = np.full((len(names), 3), np.nan)
-    control = np.zeros(len(names), dtype=bool)
-    for name, k in names.items():
-        if name in known:
-            reference[k], control[k] = known[name]
-    return AuditObservations(
-        points[good].astype(np.int64),
-        photos[good].astype(np.int64),
-        image[good],
-        c_px[good],
-        tuple(names),
-        reference,
-        control,
-    )
-
-
-def photograph_index(photographs: Sequence[str]) -> dict[str, int]:
-    """Number of a photograph by its written name, and by that without extension."""
-    index = {Path(name).stem: k for k, name in enumerate(photographs)}
-    return index | {name: k for k, name in enumerate(photographs)}
-
-
-def principal_distance_px(camera: Camera) -> float:
-    """Principal distance in pixels, the mean of both directions."""
-    (a, b, _), (d, e, _) = camera.pixel_from_photo
-    return float(camera.principal_distance_mm * np.sqrt(abs(a * e - b * d)))
-
-
-def _height_candidates(
-    file: ProjectFile, path: Path, frame: MapFrame, lon: float, lat: float
+def height_candidates(
+    file: ProjectFile, path: Path, frame: MapFrame, positions: Array, crs: str | None = None
 ) -> list[HeightCandidate]:
-    """Ellipsoidal heights, what the project declares, and the geoid grids that lie beside its files."""
+    """Ellipsoidal heights, what the project declares, and the geoid grids that lie beside its files.
+
+    Parameters
+    ----------
+    frame : MapFrame
+        Of the project.
+    positions : ndarray (n, 3)
+        Projection centres in `crs`, or in the CRS of the project.
+    """
+    lon, lat = _middle(crs or frame.crs, positions)
     found = {"ellipsoidal": HeightCandidate("ellipsoidal", "ellipsoidal heights", HeightSystem.ellipsoidal())}
     if file.project.heights == UNDECLARED:
         found[UNDECLARED] = replace(found["ellipsoidal"], text=UNDECLARED, name="undeclared heights")

@@ -24,9 +24,9 @@ from stereomate.frames.mapframe import MapFrame
 from stereomate.frames.remedies import GridBlock, map_from_cartesian
 from stereomate.frames.tangent import TangentFrame
 from stereomate.frames.transform import map_from_map, tangent_from_map
-from stereomate.project.audit import photo_cameras, principal_distance_px, project_observations
 from stereomate.project.control import read_control
 from stereomate.project.loader import project_frame
+from stereomate.project.observations import photo_cameras, principal_distance_px, project_observations
 from stereomate.project.orientations import Reading, WrittenOrientations, height_system, read_orientations
 from stereomate.project.reading import read_project_file
 from stereomate.project.schema import ProjectFile

@@ -124,7 +124,7 @@ def audit(
     used = observations.usable()
     small = Evaluator(block, used.sample(_SAMPLE))
     declared = (orientation_heights[0], reference_heights[0])
-    fits = _attitude_fits(small, block, orientation_heights)
+    fits = attitude_fits(small, block, orientation_heights)
     allowed = [fit.reading for fit in fits if attitude_score(fit, fits[0]) < _CERTAIN][:3]
     pairs = _hopeful_pairs(small, allowed[:1], orientation_heights, reference_heights)
     evaluator = Evaluator(block, used)
@@ -182,7 +182,7 @@ def _hopeful_pairs(
     return [pair for pair in pairs if pair in kept or pair == declared]
 
 
-def _attitude_fits(
+def attitude_fits(
     evaluator: Evaluator, block: WrittenBlock, heights: Sequence[HeightCandidate]
 ) -> tuple[AttitudeFit, ...]:
     """Single errors; where none makes the rays meet, several at once, and heights in another unit."""

@@ -1,0 +1,183 @@
+"""`convert orientation --guess`: what a file leaves open, decided by points, or refused with the reason."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stereomate.camera.model import Camera
+from stereomate.cli import main
+from stereomate.errors import CrsError, FormatError, ProjectError
+from stereomate.formats.declared import Declared
+from stereomate.formats.exchange import FORMATS
+from stereomate.formats.ign import ImageObservations, write_mes
+from stereomate.formats.orientation_set import OrientationSet, converted
+from stereomate.frames.adjusted import grid_from_space_centres
+from stereomate.frames.heights import HeightSystem
+from stereomate.frames.mapframe import MapFrame
+from stereomate.frames.prediction.plan import FlightPlan, simulated_block
+from stereomate.frames.transform import map_from_tangent
+from stereomate.project.guess import guess_declared
+
+CRS = "EPSG:25832"
+PROJECT = f"""
+[project]
+crs = "{CRS}"
+heights = "ellipsoidal"
+
+[[camera]]
+name = "made"
+size_px = [16000, 16000]
+principal_distance_px = 10000.0
+
+[photos]
+files = "*.tif"
+orientation = "not_looked_at.csv"
+
+[control]
+file = "control.app"
+
+[observations]
+files = "ties.mes"
+"""
+
+
+def made(folder, easting, tilt_deg, height=1500.0):
+    """A simulated block in files, and its true orientations about grid axes."""
+    plan = FlightPlan(
+        CRS, easting, 5_400_000.0, height, 300.0, 0.06 * height, heading_deg=70.0, tilt_deg=tilt_deg
+    )
+    block = simulated_block(plan)
+    random = np.random.default_rng(5)
+    image = block.xy / (1e-3 * plan.principal_distance_mm) + random.normal(0.0, 3e-5, block.xy.shape)
+    camera = Camera.from_pixel_pitch("made", (16000, 16000), 100.0, 0.01)
+    pixels, _ = camera.image_from_camera(np.column_stack([image, -np.ones(len(image))]))
+    names = tuple(f"photo_{k}" for k in range(len(block.centres)))
+    write_mes(
+        folder / "ties.mes",
+        ImageObservations(
+            tuple(f"p{k}" for k in block.point_of), tuple(names[k] for k in block.photo_of), pixels
+        ),
+    )
+    points = map_from_tangent(plan.tangent, plan.frame, block.points)
+    (folder / "control.app").write_text(
+        "".join(
+            f"p{k} 13 {x:.4f} {y:.4f} {z:.4f}\n"
+            for k, (x, y, z) in enumerate(points.tolist())
+            if block.control[k]
+        )
+    )
+    (folder / "project.toml").write_text(PROJECT)
+    tangent = OrientationSet(names, block.centres, block.rotations, plan.tangent, "tangent")
+    return plan, converted(tangent, plan.frame, "grid")
+
+
+@pytest.fixture(scope="module")
+def east(tmp_path_factory):
+    """Tilted photographs 100 km east of the central meridian: every convention makes a difference."""
+    folder = tmp_path_factory.mktemp("east")
+    return folder, *made(folder, 600_000.0, 3.0)
+
+
+def write(east, name, format_, orientations=None, axes="grid", **wanted):
+    folder, _, true = east
+    orientations = orientations or true
+    place = orientations.place
+    FORMATS[format_].write(folder / name, converted(orientations, place, axes), Declared(crs=CRS, **wanted))
+    return folder / name
+
+
+def test_axes_unit_heights_and_adjustment(east, capsys):
+    """Angles in gon about true north, centres as a grid adjustment leaves them: found, said, made right."""
+    folder, plan, true = east
+    adjusted = replace(true, positions=grid_from_space_centres(plan.frame, true.positions, 330.0))
+    source = write(east, "open.csv", "table", adjusted, "local", unit="gon")
+    text = "\n".join(line for line in source.read_text().splitlines() if not line.startswith("#"))
+    source.write_text(text + "\n")
+    arguments = [source, folder / "out.csv", "--from", "table", "--to", "table", "--to-axes", "grid"]
+    with pytest.raises(SystemExit) as end:
+        main.run(["convert", "orientation", *map(str, arguments), "--from-crs", CRS])
+    assert end.value.code == 2
+    assert "about which axes its angles turn (declare one of: grid" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as end:
+        main.run(["convert", "orientation", *map(str, arguments), "--guess"])
+    assert end.value.code == 2
+    assert "--evidence: must be given" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as end:
+        main.run(
+            [
+                "convert",
+                "orientation",
+                *map(str, arguments),
+                "--evidence",
+                str(folder / "project.toml"),
+                "--json",
+            ]
+        )
+    assert end.value.code == 0
+    notes = json.loads(capsys.readouterr().out)["notes"]
+    assert any("guessed axes local, unit gon" in note and "practically certain" in note for note in notes)
+    assert any("guessed heights: the orientation's heights are ellipsoidal" in note for note in notes)
+    assert any("guessed centres: the centres come from an adjustment in the grid" in note for note in notes)
+    back = FORMATS["table"].read(
+        folder / "out.csv", Declared(crs=CRS, heights=HeightSystem.ellipsoidal(), axes="grid", unit="deg")
+    )
+    np.testing.assert_allclose(back.rotations, true.rotations, atol=1e-9)
+    # The control lies at 300 to 400 m: its mean is what the scale is taken to act about.
+    np.testing.assert_allclose(back.positions, true.positions, atol=0.02)
+
+
+def test_direction_of_matrices(east):
+    folder, _, _ = east
+    for direction in ("camera_from_object", "object_from_camera"):
+        source = write(east, "open.ori", "patb", matrix=direction)
+        declared = Declared(crs=CRS, heights=HeightSystem.ellipsoidal())
+        found = guess_declared(source, "patb", declared, folder / "project.toml")
+        assert (found.declared.axes, found.declared.matrix) == ("grid", direction)
+        assert found.grid_reference_height is None
+        assert any("centres are read as true positions" in note for note in found.notes)
+
+
+def test_phi_first_is_found_behind_usual_columns(east):
+    folder, _, _ = east
+    source = write(east, "open.csv", "table", order="pok")
+    found = guess_declared(source, "table", Declared(crs=CRS), folder / "project.toml")
+    assert (found.declared.order, found.declared.axes, found.declared.unit) == ("pok", "grid", "deg")
+
+
+def test_what_no_declaration_can_say_is_named(east):
+    folder, _, true = east
+    flipped = replace(true, rotations=true.rotations @ np.diag([1.0, -1.0, -1.0]))
+    source = write(east, "open.csv", "table", flipped)
+    with pytest.raises(
+        FormatError, match=r"do not meet \(they would meet to 0.* px with .*camera axes x right, y down"
+    ):
+        guess_declared(source, "table", Declared(crs=CRS), folder / "project.toml")
+
+
+def test_undecidable_is_refused_with_the_readings_that_fit(tmp_path):
+    """A low flight on the central meridian, where grid north is true north: nothing tells the two."""
+    _, true = made(tmp_path, 500_000.0, 0.0, 20.0)
+    narrow = (tmp_path, None, true)
+    source = write(narrow, "open.csv", "table", unit="deg")
+    match = r"cannot be guessed: .*axes (grid|local), unit deg \(.* px\); axes (grid|local).*differ by"
+    with pytest.raises(FormatError, match=match):
+        guess_declared(source, "table", Declared(crs=CRS), tmp_path / "project.toml")
+
+
+def test_evidence_without_observations(east, tmp_path):
+    source = write(east, "open.csv", "table")
+    (tmp_path / "bare.toml").write_text(PROJECT[: PROJECT.index("[observations]")])
+    with pytest.raises(ProjectError, match=r"observations: must be given.*tie or control points"):
+        guess_declared(source, "table", Declared(crs=CRS), tmp_path / "bare.toml")
+
+
+def test_a_frame_that_is_elsewhere(east):
+    folder, _, true = east
+    moved = replace(true, place=MapFrame(CRS, true.place.heights), positions=true.positions[:, [1, 0, 2]])
+    source = write(east, "open.csv", "table", moved)
+    with pytest.raises(CrsError, match="x and y exchanged"):
+        guess_declared(source, "table", Declared(crs=CRS), folder / "project.toml")
