@@ -1,0 +1,352 @@
+"""A network: everything a bundle adjustment is given, as frozen values over arrays.
+
+All coordinates are in the tangent frame (Cartesian, metres), rotations are object from camera, image
+coordinates are pixels (column, row), standard deviations are a priori ones. Photographs, points and cameras
+are known by their index; names are for the reader.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereomate.camera.model import Camera
+from stereomate.errors import InputError
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+# Parameters of the pixel array that a camera may have free besides its `parameter_names`: ratio of the scales
+# along x and y of the photo system minus one, and the shear of the x axis by y.
+PIXEL_PARAMETERS: Final = ("pixel_aspect", "pixel_shear")
+
+
+@dataclass(frozen=True, eq=False)
+class BlockCamera:
+    """A camera of the block and which of its interior parameters are unknown.
+
+    Parameters
+    ----------
+    camera : Camera
+        Its values are the start, and the observed values of the priors.
+    free : mapping of str to float
+        Name of an unknown parameter (of ``camera.parameter_names``, ``pixel_aspect``, ``pixel_shear``) to the
+        standard deviation of its prior, in its own unit; ``math.inf`` for no prior.
+    """
+
+    camera: Camera
+    free: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        known = (*self.camera.parameter_names, *PIXEL_PARAMETERS)
+        for name, sigma in self.free.items():
+            where = f"camera {self.camera.name!r}: free.{name}"
+            if name not in known:
+                raise InputError(f"must be one of {', '.join(known)}", field=where)
+            if not sigma > 0.0:
+                raise InputError(
+                    "standard deviation of a prior must be positive, or infinite", field=where, value=sigma
+                )
+        object.__setattr__(self, "free", dict(self.free))
+
+
+@dataclass(frozen=True, eq=False)
+class Photographs:
+    """Photographs with their approximate orientations.
+
+    Parameters
+    ----------
+    names : tuple of str (n)
+    camera : ndarray of int, shape (n,)
+        Index of the camera.
+    centres : ndarray, shape (n, 3)
+    rotations : ndarray, shape (n, 3, 3)
+        Object from camera.
+    fixed : ndarray of bool, shape (n, 6), optional
+        Unknowns that keep their start: centre x y z, rotations about the tangent axes x y z.
+    """
+
+    names: tuple[str, ...]
+    camera: Integers
+    centres: Array
+    rotations: Array
+    fixed: Mask | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.names)
+        _own(self, "camera", np.int64, (n,))
+        _own(self, "centres", np.float64, (n, 3))
+        _own(self, "rotations", np.float64, (n, 3, 3))
+        if self.fixed is not None:
+            _own(self, "fixed", np.bool_, (n, 6))
+        twice = _first_twice(self.names)
+        if twice is not None:
+            raise InputError("must not name a photograph twice", field="photographs.names", value=twice)
+        _finite("photographs.centres", self.centres, self.names)
+        _finite("photographs.rotations", self.rotations, self.names)
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Object points with approximate coordinates.
+
+    Parameters
+    ----------
+    names : tuple of str (p)
+    xyz : ndarray, shape (p, 3)
+    """
+
+    names: tuple[str, ...]
+    xyz: Array
+
+    def __post_init__(self) -> None:
+        _own(self, "xyz", np.float64, (len(self.names), 3))
+        _finite("points.xyz", self.xyz, self.names)
+
+
+@dataclass(frozen=True, eq=False)
+class ImagePoints:
+    """Image observations, in any order.
+
+    Parameters
+    ----------
+    photo, point : ndarray of int, shape (m,)
+    xy : ndarray, shape (m, 2)
+        Column and row, pixels.
+    sigma : ndarray, shape (m, 2) or float
+        Standard deviations, pixels.
+    """
+
+    photo: Integers
+    point: Integers
+    xy: Array
+    sigma: Array
+
+    def __post_init__(self) -> None:
+        m = len(self.photo)
+        _own(self, "photo", np.int64, (m,))
+        _own(self, "point", np.int64, (m,))
+        _own(self, "xy", np.float64, (m, 2))
+        _own(self, "sigma", np.float64, (m, 2))
+        _finite("image.xy", self.xy)
+        _positive("image.sigma", self.sigma)
+
+
+@dataclass(frozen=True, eq=False)
+class Control:
+    """Control and check points.
+
+    Parameters
+    ----------
+    point : ndarray of int, shape (k,)
+    xyz : ndarray, shape (k, 3)
+        NaN is allowed where the axis is not known.
+    sigma : ndarray, shape (k, 3) or float
+        Metres; infinite for an axis that is not known (plan only, height only), 0 for one held fixed.
+    covariance : ndarray, shape (k, 3, 3), optional
+        Instead of `sigma`, for points known in all axes (rows of NaN: take `sigma`).
+    check : ndarray of bool, shape (k,), optional
+        Check points take no part in the adjustment; they are compared with its result.
+    """
+
+    point: Integers
+    xyz: Array
+    sigma: Array
+    covariance: Array | None = None
+    check: Mask | None = None
+
+    def __post_init__(self) -> None:
+        k = len(self.point)
+        _own(self, "point", np.int64, (k,))
+        _own(self, "xyz", np.float64, (k, 3))
+        _own(self, "sigma", np.float64, (k, 3))
+        object.__setattr__(self, "check", np.zeros(k, np.bool_) if self.check is None else self.check)
+        _own(self, "check", np.bool_, (k,))
+        if self.covariance is not None:
+            _own(self, "covariance", np.float64, (k, 3, 3))
+        if not np.all(self.sigma >= 0.0):
+            raise InputError("must not be negative", field="control.sigma", value=self.sigma.min())
+        if not np.isfinite(self.xyz[np.isfinite(self.sigma)]).all():
+            raise InputError("must be finite where the axis has a standard deviation", field="control.xyz")
+
+
+@dataclass(frozen=True, eq=False)
+class Positions:
+    """Observed positions of the antenna: ``X = X0 + R lever_arm + shift[strip] + drift[strip] (t - mean t)``.
+
+    Parameters
+    ----------
+    photo : ndarray of int, shape (g,)
+    xyz : ndarray, shape (g, 3)
+    sigma : ndarray, shape (g, 3) or float
+        Metres; infinite for an axis that is not known.
+    lever_arm : ndarray, shape (g, 3) or (3,)
+        From the projection centre to the antenna, camera axes, metres.
+    strip : ndarray of int, shape (g,), optional
+        Group that shares a shift and a drift; -1 for none.
+    time : ndarray, shape (g,), optional
+        Seconds, for the drift; the order in the strip if None.
+    shift, drift : bool
+        Whether each strip has an unknown shift, an unknown drift.
+    shift_sigma : float
+        Standard deviation of the prior (shift is 0), metres; infinite for none.
+    """
+
+    photo: Integers
+    xyz: Array
+    sigma: Array
+    lever_arm: Array = field(default_factory=lambda: np.zeros(3))
+    strip: Integers | None = None
+    time: Array | None = None
+    shift: bool = False
+    drift: bool = False
+    shift_sigma: float = math.inf
+
+    def __post_init__(self) -> None:
+        g = len(self.photo)
+        _own(self, "photo", np.int64, (g,))
+        _own(self, "xyz", np.float64, (g, 3))
+        _own(self, "sigma", np.float64, (g, 3))
+        _own(self, "lever_arm", np.float64, (g, 3))
+        object.__setattr__(self, "strip", np.zeros(g, np.int64) if self.strip is None else self.strip)
+        _own(self, "strip", np.int64, (g,))
+        if self.time is not None:
+            _own(self, "time", np.float64, (g,))
+        _positive("positions.sigma", self.sigma)
+        _finite("positions.xyz", self.xyz[np.isfinite(self.sigma)])
+
+
+@dataclass(frozen=True, eq=False)
+class Attitudes:
+    """Observed rotations: ``R_observed = R exp(boresight)``, its error turns about the tangent axes.
+
+    Parameters
+    ----------
+    photo : ndarray of int, shape (g,)
+    rotations : ndarray, shape (g, 3, 3)
+        Object from camera, as the inertial system says.
+    sigma : ndarray, shape (g, 3) or float
+        Of the rotations about the tangent axes x y z, radians.
+    boresight : bool
+        Whether a common misalignment (rotation vector in camera axes) is unknown.
+    boresight_sigma : float
+        Standard deviation of its prior (0), radians; infinite for none.
+    """
+
+    photo: Integers
+    rotations: Array
+    sigma: Array
+    boresight: bool = False
+    boresight_sigma: float = math.inf
+
+    def __post_init__(self) -> None:
+        g = len(self.photo)
+        _own(self, "photo", np.int64, (g,))
+        _own(self, "rotations", np.float64, (g, 3, 3))
+        _own(self, "sigma", np.float64, (g, 3))
+        _positive("attitudes.sigma", self.sigma)
+        _finite("attitudes.rotations", self.rotations)
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """A block to be adjusted; indices are checked here, once.
+
+    Parameters
+    ----------
+    cameras : tuple of BlockCamera
+    photographs : Photographs
+    points : Points
+    image : ImagePoints
+    control : Control, optional
+    positions : Positions, optional
+    attitudes : Attitudes, optional
+    """
+
+    cameras: tuple[BlockCamera, ...]
+    photographs: Photographs
+    points: Points
+    image: ImagePoints
+    control: Control | None = None
+    positions: Positions | None = None
+    attitudes: Attitudes | None = None
+
+    def __post_init__(self) -> None:
+        twice = _first_twice(tuple(c.camera.name for c in self.cameras))
+        if twice is not None:
+            raise InputError("must not hold two cameras of one name", field="cameras", value=twice)
+        n, p = len(self.photographs.names), len(self.points.names)
+        _within("photographs.camera", self.photographs.camera, len(self.cameras))
+        _within("image.photo", self.image.photo, n)
+        _within("image.point", self.image.point, p)
+        key = self.image.photo * max(p, 1) + self.image.point
+        order = np.argsort(key, kind="stable")
+        again = np.flatnonzero(np.diff(key[order]) == 0)
+        if again.size:
+            row = int(order[again[0]])
+            raise InputError(
+                f"point {self.points.names[self.image.point[row]]} is observed twice in "
+                f"{self.photographs.names[self.image.photo[row]]}",
+                field="image",
+            )
+        if self.control is not None:
+            _within("control.point", self.control.point, p)
+            if len(np.unique(self.control.point)) < len(self.control.point):
+                raise InputError("must not name a point twice", field="control.point")
+        for name in ("positions", "attitudes"):
+            value = getattr(self, name)
+            if value is not None:
+                _within(f"{name}.photo", value.photo, n)
+
+    def moved_to(self, centres: Array, rotations: Array, xyz: Array) -> Network:
+        """The same network from other approximate values."""
+        photographs = replace(self.photographs, centres=centres, rotations=rotations)
+        return replace(self, photographs=photographs, points=replace(self.points, xyz=xyz))
+
+
+def _own(owner: Any, name: str, dtype: Any, shape: tuple[int, ...]) -> None:
+    """Keep a field as a read-only contiguous array of its own, broadcast to its shape."""
+    field_name = f"{type(owner).__name__.lower()}.{name}"
+    given = np.asarray(getattr(owner, name))
+    if dtype is np.int64 and given.size and not np.issubdtype(given.dtype, np.integer):
+        raise InputError("must be integers", field=field_name, value=str(given.dtype))
+    try:
+        value = np.array(np.broadcast_to(given.astype(dtype), shape), order="C")
+    except ValueError:
+        raise InputError(f"must have shape {shape}", field=field_name, value=given.shape) from None
+    value.flags.writeable = False
+    object.__setattr__(owner, name, value)
+
+
+def _finite(name: str, values: Array, names: tuple[str, ...] = ()) -> None:
+    if not values.size:
+        return
+    bad = np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))
+    if len(bad):
+        which = names[bad[0]] if names else int(bad[0])
+        raise InputError("must be finite", field=name, value=which)
+
+
+def _positive(name: str, values: Array) -> None:
+    if not np.all(values > 0.0):
+        raise InputError("must be positive", field=name, value=float(np.nanmin(values)))
+
+
+def _within(name: str, index: Integers, count: int) -> None:
+    if index.size and not (index.min() >= 0 and index.max() < count):
+        raise InputError(f"must be an index below {count}", field=name, value=int(index.max()))
+
+
+def _first_twice(names: tuple[str, ...]) -> str | None:
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            return name
+        seen.add(name)
+    return None
