@@ -111,7 +111,7 @@ def find_features(
 
     def work(photo: BlockPhoto) -> tuple[Features, str]:
         try:
-            return photo_features(_grey(photo), options.automatic), ""
+            return photo_features(grey_of_photo(photo), options.automatic), ""
         except ImageError as error:
             return nothing, str(error)
 
@@ -315,7 +315,7 @@ class _FeatureCache:
         return found
 
 
-def _grey(photo: BlockPhoto) -> NDArray[np.uint8]:
+def grey_of_photo(photo: BlockPhoto) -> NDArray[np.uint8]:
     """Grey values of a whole photograph.
 
     Raises
