@@ -145,24 +145,36 @@ def audit_block(
     InputError
         If no reading makes rays meet.
     """
-    nothing_meets: InputError | None = None
-    try:
-        result = _audited(file, block, observations, candidates, own)
-    except InputError as error:
-        nothing_meets = error
-    else:
-        if result.explained or not observations.known.any():
-            return result, candidates, ()
     lon, lat = _middle(block.crs, block.positions)
-    tried = {candidate.text for candidate in candidates}
-    more = [candidate for candidate in world_geoids(frame, lon, lat) if candidate.text not in tried]
-    candidates = [*candidates, *more]
-    candidates += [candidate.in_unit(FOOT, "feet") for candidate in candidates]
-    try:
-        result = _audited(file, block, observations, candidates, own)
-    except InputError as error:
-        raise nothing_meets or error from None
-    return result, candidates, () if result.explained else tuple(vertical_names(lon, lat))
+    result: Audit | None = None
+    refused: InputError | None = None
+    for more in (_no_more, world_geoids, _in_feet):
+        wider = [*candidates, *more(frame, lon, lat, candidates)]
+        if result is not None and len(wider) == len(candidates):
+            continue
+        try:
+            found = _audited(file, block, observations, wider, own)
+        except InputError as error:
+            refused = refused or error
+            continue
+        if found.explained or not observations.known.any():
+            return found, wider, ()
+        # Feet that explain nothing are no better than metres that do not.
+        if more is not _in_feet or result is None:
+            result, candidates = found, wider
+    if result is None:
+        raise refused or InputError("cannot be read in any way", field="orientation")
+    return result, candidates, tuple(vertical_names(lon, lat))
+
+
+def _no_more(*_: object) -> list[HeightCandidate]:
+    return []
+
+
+def _in_feet(
+    frame: MapFrame, lon: float, lat: float, candidates: Sequence[HeightCandidate]
+) -> list[HeightCandidate]:
+    return [candidate.in_unit(FOOT, "feet") for candidate in candidates]
 
 
 def _audited(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -20,10 +21,14 @@ _NO_LAND_HEIGHTS: Final = ("depth", "water", "msl", "mhw", "mhhw", "hhwlt", "hat
 _WORLD: Final = ("EPSG:3855", "EPSG:5773")
 
 
-def world_geoids(frame: MapFrame, lon: float, lat: float) -> list[HeightCandidate]:
-    """EGM2008 and EGM96, as far as PROJ has their grids on this machine."""
+def world_geoids(
+    frame: MapFrame, lon: float, lat: float, tried: Sequence[HeightCandidate] = ()
+) -> list[HeightCandidate]:
+    """EGM2008 and EGM96, as far as PROJ has their grids on this machine and they were not tried yet."""
     found = []
     for code in _WORLD:
+        if code in {candidate.text for candidate in tried}:
+            continue
         system = HeightSystem.vertical_crs(code)
         try:
             system.ellipsoidal_from_system(lon, lat, 0.0, frame.geodetic)
