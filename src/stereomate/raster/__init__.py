@@ -3,7 +3,7 @@
 from stereomate.raster.heights import HeightReader, HeightScale, open_heights
 from stereomate.raster.info import RasterInfo
 from stereomate.raster.reader import PhotoReader, open_photo
-from stereomate.raster.settings import Resources, configure, current
+from stereomate.raster.settings import Resources, configure, current, give_back_memory
 from stereomate.raster.windows import Window
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "Window",
     "configure",
     "current",
+    "give_back_memory",
     "open_heights",
     "open_photo",
 ]
