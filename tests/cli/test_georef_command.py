@@ -35,7 +35,7 @@ def test_the_example_of_the_paper(paper, capsys, tmp_path):
     assert value["equation_2_m"] == pytest.approx(0.4104, abs=1e-4)
     assert value["equation_3_m"] == pytest.approx(0.0547, abs=1e-4)
     assert value["equation_4_m"] == pytest.approx(-0.4104, abs=1e-4)
-    assert len(value["outcomes"]) == 18
+    assert len(value["outcomes"]) == 21
     p1 = next(o for o in value["outcomes"] if (o["mode"], o["method"]) == ("direct", "P1"))
     assert p1["centre_error_m"][2] == pytest.approx(-0.4104, abs=5e-4)
     assert not p1["harmless"]

@@ -130,6 +130,7 @@ _WORDS = {
     "P1": "P1 only (curvature correction)",
     "M2": "M2 (heights scaled)",
     "M3": "M3 (principal distance scaled)",
+    "M3i": "M3 per photograph",
     "M4": "M4 (image coordinates corrected)",
     "M1": "M1 (tangent frame)",
 }

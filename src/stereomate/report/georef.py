@@ -25,6 +25,7 @@ METHOD_WORDS: Final = {
     "P1": "curvature\nonly",
     "M2": "M2 heights\nscaled",
     "M3": "M3 c\nscaled",
+    "M3i": "M3 c per\nphotograph",
     "M4": "M4 image\ncorrections",
     "M1": "M1 tangent\nframe",
 }
@@ -77,6 +78,7 @@ def _draw_bars(axes: Axes, prediction: Prediction) -> None:
                 va="bottom",
                 fontsize=6.0,
                 rotation=90,
+                zorder=3,
                 bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
             )
     axes.axhline(prediction.expected_m, color=_BAD, linewidth=1.0)
@@ -88,6 +90,7 @@ def _draw_bars(axes: Axes, prediction: Prediction) -> None:
         ha="right",
         va="bottom",
         fontsize=7.0,
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.4},
     )
     axes.axhline(prediction.expected_m / 3.0, color=_GOOD, linewidth=0.8, linestyle=(0, (4, 3)))
     axes.text(
@@ -98,6 +101,7 @@ def _draw_bars(axes: Axes, prediction: Prediction) -> None:
         ha="right",
         va="bottom",
         fontsize=7.0,
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.4},
     )
     axes.set_yscale("log")
     top = max(max(abs(o.worst_height_m) for o in prediction.outcomes), prediction.expected_m)
@@ -151,9 +155,11 @@ def _draw_map(figure: Figure, axes: Axes, prediction: Prediction, chart: ErrorMa
     axes.annotate(
         "the block",
         (plan.tangent.longitude_deg, plan.tangent.latitude_deg),
-        xytext=(6, 4),
+        xytext=(0, 6),
         textcoords="offset points",
+        ha="center",
         fontsize=7.5,
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8, "alpha": 0.7},
     )
     bar = figure.colorbar(drawn, ax=axes, shrink=0.85, ticks=levels)
     bar.set_label("height error of points, m")

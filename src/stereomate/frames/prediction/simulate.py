@@ -8,8 +8,10 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from stereomate.frames.adjusted import effective_scale_at
 from stereomate.frames.attitude import rotation_tangent_from_axes
 from stereomate.frames.curvature import CurvatureOptions, curvature_corrected
+from stereomate.frames.factors import grid_factors
 from stereomate.frames.prediction.bundle import BundleProblem, BundleState, adjust
 from stereomate.frames.prediction.intersection import intersect
 from stereomate.frames.prediction.plan import FlightPlan, SimulatedBlock
@@ -24,8 +26,9 @@ from stereomate.frames.remedies import (
 from stereomate.frames.transform import map_from_tangent, tangent_from_map
 
 Array = NDArray[np.float64]
-Method = Literal["nothing", "P1", "M2", "M3", "M4", "M1"]
-METHODS: Final[tuple[Method, ...]] = ("nothing", "P1", "M2", "M3", "M4", "M1")
+# M3i: principal distance scaled for each photograph by the scale at its own centre, not by that of the area.
+Method = Literal["nothing", "P1", "M2", "M3", "M3i", "M4", "M1"]
+METHODS: Final[tuple[Method, ...]] = ("nothing", "P1", "M2", "M3", "M3i", "M4", "M1")
 Mode = Literal["direct", "indirect"]
 
 _M4_PASSES: Final = 5
@@ -91,6 +94,14 @@ class GridWork:
         """The scale that belongs to the curvature correction in use."""
         return self.plan.tau_e if self.curvature.level == "ground" else self.plan.tau
 
+    @property
+    def photo_scales(self) -> Array:
+        """That scale at the centre of each photograph (p,)."""
+        centres = map_from_cartesian(self.plan.frame, self.grid.grid_centres)
+        if self.curvature.level == "ground":
+            return effective_scale_at(self.plan.frame, centres[:, :2], self.plan.ground_m)
+        return grid_factors(self.plan.crs, centres[:, 0], centres[:, 1])[0]
+
     def cartesian(self, tangent: Array) -> Array:
         """Tangent points in the Cartesian grid."""
         return cartesian_from_map(
@@ -128,8 +139,9 @@ def direct_outcome(work: GridWork, method: Method) -> Outcome:
     order = np.lexsort((block.photo_of, block.point_of))
     k = len(block.centres)
 
-    def points_from(xy: Array, centres: Array, rotations: Array, c: float) -> Array:
-        return intersect(xy[order].reshape(count, k, 2), centres, rotations, np.full(k, c))
+    def points_from(xy: Array, centres: Array, rotations: Array, c: float | Array) -> Array:
+        each = np.broadcast_to(np.asarray(c, dtype=np.float64), (k,))
+        return intersect(xy[order].reshape(count, k, 2), centres, rotations, each)
 
     centres, rotations = work.grid.grid_centres, work.grid.grid_rotations
     c = work.c
@@ -150,7 +162,8 @@ def direct_outcome(work: GridWork, method: Method) -> Outcome:
                 found = unscaled_heights(scaled, work.scale)
             else:
                 c = float(grid_principal_distance(work.c, work.scale)) if method == "M3" else work.c
-                found = points_from(xy, centres, rotations, c)
+                each = c / work.photo_scales if method == "M3i" else c
+                found = points_from(xy, centres, rotations, each)
     return _outcome("direct", method, work, BundleState(centres, rotations, found, c), free=False)
 
 
@@ -176,9 +189,12 @@ def indirect_outcome(work: GridWork, method: Method, *, free: bool = False) -> O
         xy = block.xy
         if method == "M4":
             xy = work.refined(state)
-        elif method in ("P1", "M2", "M3"):
+        elif method in ("P1", "M2", "M3", "M3i"):
             heights = unscaled_heights(state.points, scale), unscaled_heights(state.centres, scale)
             xy = work.curved(*heights, state.rotations)
+            if method == "M3i":
+                # A principal distance c / tau_e of its own is the common one with coordinates times tau_e.
+                xy = xy * work.photo_scales[block.photo_of, None]
         state = adjust(problem.with_images(xy), state)
     if rigorous:
         centres, points = work.cartesian(state.centres), work.cartesian(state.points)
