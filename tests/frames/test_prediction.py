@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stereomate.errors import CrsError, InputError
+from stereomate.errors import CrsError, InputError, OrientationError
 from stereomate.frames.curvature import CurvatureOptions
 from stereomate.frames.heights import HeightSystem
 from stereomate.frames.mapframe import MapFrame
@@ -179,6 +179,28 @@ def test_map_of_errors():
     assert chart.longitude_deg[0, 7] == pytest.approx(9.0)
     assert chart.height_error_m[0, 0] < 0.6
     assert np.isfinite(error_map(plan_at("Corsica", 1500.0), 10).height_error_m).all()
+
+
+def test_narrow_sidelap_relief_and_tilt():
+    """Points that one photograph alone sees once left the normal matrix singular."""
+    plan = plan_at(
+        "Corsica", 3000.0, ground_m=500.0, relief_m=800.0, tilt_deg=3.0, sidelap=0.2, heading_deg=30.0
+    )
+    work = GridWork(plan, simulated_block(plan))
+    assert np.bincount(work.block.point_of).min() >= 2
+    for method in ("M1", "M4"):
+        assert np.abs(indirect_outcome(work, method).errors).max() < 1e-6
+    assert abs(indirect_outcome(work, "P1").worst_height_m) > 0.1
+
+
+def test_plans_that_cannot_be_adjusted():
+    with pytest.raises(InputError, match="above the horizon"):
+        simulated_pair(plan_at("UTM CM", 800.0, principal_distance_mm=8.0, tilt_deg=19.0))
+    with pytest.raises(InputError, match="no point that two photographs see"):
+        simulated_block(plan_at("UTM CM", 800.0, principal_distance_mm=305.0, format_mm=13.0, tilt_deg=19.0))
+    apart = plan_at("L93 51N", 7000.0, format_mm=100.0, overlap=0.21, sidelap=0.66, relief_m=2800.0)
+    with pytest.raises(OrientationError, match="more overlap"):
+        indirect_outcome(GridWork(apart, simulated_block(apart)), "nothing")
 
 
 def test_plans_that_cannot_be_flown():

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from stereomate.errors import OrientationError
 from stereomate.geometry.rotations import rotation_from_vector, skew
 
 Array = NDArray[np.float64]
@@ -59,14 +60,31 @@ class BundleState:
 
 
 def adjust(problem: BundleProblem, start: BundleState, iterations: int = 15) -> BundleState:
-    """Least-squares bundle adjustment by Gauss-Newton, points eliminated."""
+    """Least-squares bundle adjustment by Gauss-Newton, points eliminated.
+
+    Raises
+    ------
+    OrientationError
+        If too few points are common to photographs to determine the block.
+    """
     state = start
     for _ in range(iterations):
-        outer, points = _step(problem, state)
+        try:
+            outer, points = _step(problem, state)
+        except np.linalg.LinAlgError:
+            outer = points = np.full(1, np.nan)
+        if not (np.isfinite(outer).all() and np.isfinite(points).all()):
+            raise undetermined()
         state = _moved(problem, state, outer, points)
         if max(float(np.abs(outer).max()), float(np.abs(points).max())) < 1e-9:
             break
     return state
+
+
+def undetermined() -> OrientationError:
+    """What is wrong with a block whose photographs have too little in common."""
+    rule = "is not determined by the points that its photographs have in common"
+    return OrientationError(rule, field="simulated block", hint="more overlap or sidelap")
 
 
 def _step(problem: BundleProblem, state: BundleState) -> tuple[Array, Array]:
@@ -117,7 +135,10 @@ def _step(problem: BundleProblem, state: BundleState) -> tuple[Array, Array]:
     reduced = np.einsum("ipk,pkl->ipl", mixed, inverse)
     normal -= np.einsum("ipl,jpl->ij", reduced, mixed, optimize=True)
     right -= np.einsum("ipl,pl->i", reduced, inner_right)
-    scale = 1.0 / np.sqrt(np.diag(normal))
+    diagonal = np.diag(normal)
+    if not (diagonal > 0.0).all():
+        raise np.linalg.LinAlgError("normal matrix is not positive")
+    scale = 1.0 / np.sqrt(diagonal)
     outer = scale * np.linalg.solve(normal * scale * scale[:, None], scale * right)
     moved = np.einsum("pkl,pl->pk", inverse, inner_right - np.einsum("ipl,i->pl", mixed, outer))
     return outer, moved

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -182,9 +182,15 @@ def simulated_block(plan: FlightPlan, strips: int = 3, photographs: int = 5) -> 
     u = np.linspace(s[0], s[-1], 2 * photographs - 1)
     reach = 0.4 * plan.footprint_m
     v = np.linspace(t[0] - reach, t[-1] + reach, 4 * strips + 1)
+    control_rows = v[:: 2 * strips]
+    if plan.sidelap < 0.5:
+        # Strips hang together by points of their narrow sidelap, which the even rows may miss.
+        middles = 0.5 * (t[1:] + t[:-1])
+        tenth = 0.3 * plan.sidelap * plan.footprint_m
+        v = np.unique(np.concatenate([v, middles, middles - tenth, middles + tenth]))
     grid = np.array([(a, b) for b in v for a in u])
     rows, cols = np.divmod(np.arange(len(grid)), len(u))
-    control = (rows % (2 * strips) == 0) & (cols % 2 == 0)
+    control = np.isin(v, control_rows)[rows] & (cols % 2 == 0)
     heights = np.where(control | ((rows + cols) % 2 == 0), 0.0, plan.relief_m)
     middle = int(np.argmin(np.abs(grid).sum(axis=1) + np.where(control | (heights != 0.0), 1e9, 0.0)))
     return _photographed(plan, nadirs, np.column_stack([grid, heights]), control, middle)
@@ -215,8 +221,32 @@ def _photographed(
     seen = (local[..., 2] < 0.0) & (np.abs(xy).max(axis=-1) <= half * (1.0 + 2.0 * abs(tilt)) * 1.001)
     if everywhere:
         seen = local[..., 2] < 0.0
+        if not seen.all():
+            rule = "lets a photograph look above the horizon: too much for this format and principal distance"
+            raise InputError(rule, field="tilt_deg", value=plan.tilt_deg)
     photo_of, point_of = np.nonzero(seen)
-    return SimulatedBlock(centres, rotations, ground, control, centre_point, photo_of, point_of, xy[seen])
+    block = SimulatedBlock(centres, rotations, ground, control, centre_point, photo_of, point_of, xy[seen])
+    return block if everywhere else _determined(block, points)
+
+
+def _determined(block: SimulatedBlock, nominal: Array) -> SimulatedBlock:
+    """The block without new points that fewer than two photographs see."""
+    keep = block.control | (np.bincount(block.point_of, minlength=len(block.points)) >= 2)
+    if not (keep & ~block.control).any():
+        raise InputError("leaves no point that two photographs see", field="overlap, sidelap")
+    number = np.cumsum(keep) - 1
+    off = np.hypot(nominal[:, 0], nominal[:, 1]) + np.where(keep & ~block.control, 0.0, np.inf)
+    middle = block.centre_point if keep[block.centre_point] else int(np.argmin(off + np.abs(nominal[:, 2])))
+    rows = keep[block.point_of]
+    return replace(
+        block,
+        points=block.points[keep],
+        control=block.control[keep],
+        centre_point=int(number[middle]),
+        photo_of=block.photo_of[rows],
+        point_of=number[block.point_of[rows]],
+        xy=block.xy[rows],
+    )
 
 
 def _on_ellipsoid(plan: FlightPlan, along_across: Array, height: Array | float) -> Array:

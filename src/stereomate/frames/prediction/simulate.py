@@ -12,7 +12,7 @@ from stereomate.frames.adjusted import effective_scale_at
 from stereomate.frames.attitude import rotation_tangent_from_axes
 from stereomate.frames.curvature import CurvatureOptions, curvature_corrected
 from stereomate.frames.factors import grid_factors
-from stereomate.frames.prediction.bundle import BundleProblem, BundleState, adjust
+from stereomate.frames.prediction.bundle import BundleProblem, BundleState, adjust, undetermined
 from stereomate.frames.prediction.intersection import intersect
 from stereomate.frames.prediction.plan import FlightPlan, SimulatedBlock
 from stereomate.frames.remedies import (
@@ -32,6 +32,9 @@ METHODS: Final[tuple[Method, ...]] = ("nothing", "P1", "M2", "M3", "M3i", "M4", 
 Mode = Literal["direct", "indirect"]
 
 _M4_PASSES: Final = 5
+# A block that hangs together weakly takes more passes, until its points stand still.
+_M4_MOST: Final = 40
+_STILL_M: Final = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +188,8 @@ def indirect_outcome(work: GridWork, method: Method, *, free: bool = False) -> O
     gnss = start.centres if free else None
     problem = BundleProblem(block.photo_of, block.point_of, block.xy, block.control, gnss, free)
     state = start
-    for _ in range({"nothing": 1, "M1": 1, "M4": _M4_PASSES}.get(method, 2)):
+    passes = {"nothing": 1, "M1": 1, "M4": _M4_MOST}.get(method, 2)
+    for number in range(passes):
         xy = block.xy
         if method == "M4":
             xy = work.refined(state)
@@ -195,7 +199,12 @@ def indirect_outcome(work: GridWork, method: Method, *, free: bool = False) -> O
             if method == "M3i":
                 # A principal distance c / tau_e of its own is the common one with coordinates times tau_e.
                 xy = xy * work.photo_scales[block.photo_of, None]
-        state = adjust(problem.with_images(xy), state)
+        before, state = state, adjust(problem.with_images(xy), state)
+        moved = float(np.abs(state.points - before.points).max())
+        if method == "M4" and number + 1 >= _M4_PASSES and moved < _STILL_M:
+            break
+        if method == "M4" and number + 1 == passes and moved > 1e-4:
+            raise undetermined()
     if rigorous:
         centres, points = work.cartesian(state.centres), work.cartesian(state.points)
     else:
