@@ -97,3 +97,43 @@ def browser():
         )
         yield started
         started.close()
+
+
+def wait(page, condition: str, seconds: float = 20.0) -> None:
+    """Until an expression is true in the page. Playwright's own way is forbidden by the page's policy."""
+    end = time.monotonic() + seconds
+    while not page.evaluate(f"Boolean({condition})"):
+        assert time.monotonic() < end, f"never true: {condition}"
+        time.sleep(0.02)
+
+
+READY = (
+    "window.stereomate && stereomate.renderer.relief && !stereomate.renderer.cache.isBusy"
+    " && stereomate.renderer.times.length > 1 && !stereomate.dirty"
+)
+
+
+class Opened:
+    """A page, with what its console said and what it asked for."""
+
+    def __init__(self, page) -> None:
+        self.page, self.errors, self.requests = page, [], []
+        page.on("console", lambda m: self.errors.append(m.text) if m.type == "error" else None)
+        page.on("pageerror", lambda error: self.errors.append(str(error)))
+        page.on("request", lambda request: self.requests.append(request.url))
+
+    def open(self, address: str) -> None:
+        self.page.goto(address)
+        wait(self.page, READY)
+
+    def settle(self) -> None:
+        """Until all tiles are there and a frame shows them."""
+        self.page.evaluate("stereomate.dirty = true")
+        wait(self.page, READY + " && !stereomate.motion.target")
+
+
+@pytest.fixture
+def opened(browser):
+    context = browser.new_context(viewport={"width": 800, "height": 600})
+    yield Opened(context.new_page())
+    context.close()

@@ -1,0 +1,36 @@
+// The page: opens a product and ties picture, mark, measurements and controls together.
+
+import { $, notice } from './ui/dom.js';
+import { fetchJson } from './files.js';
+import { Product } from './product.js';
+import { App } from './ui/app.js';
+import { Unsupported } from './view/renderer.js';
+
+function fail(text) {
+  $('app').hidden = true;
+  $('message').textContent = text;
+}
+
+async function start() {
+  const { products } = await fetchJson('data/products.json');
+  const wanted = new URLSearchParams(location.search).get('product');
+  const entry = products.find((p) => p.name === wanted) ?? products[0];
+  const product = await Product.open(`data/${entry.folder}`);
+  $('message').textContent = '';
+  $('app').hidden = false;
+  const app = new App(product, products, entry);
+  window.stereomate = app;
+  await app.start();
+}
+
+try {
+  await start();
+} catch (error) {
+  if (error instanceof Unsupported) {
+    fail('This browser shows no WebGL2, which the stereo picture needs. Try a current Firefox, Chrome, Edge or Safari, ' +
+      'and look whether hardware acceleration is switched off in its settings.');
+  } else {
+    fail(`The product cannot be opened: ${error.message}`);
+  }
+  notice('');
+}

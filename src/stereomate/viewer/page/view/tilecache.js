@@ -1,0 +1,166 @@
+// Tiles of both eyes on the GPU. A tile is uploaded once while it is resident; what is seen least recently goes.
+
+import { fetchBitmap } from '../files.js';
+
+const CONCURRENT = 12;
+const UPLOAD_MS = 2;
+const RETRY_MS = [1000, 4000, 15000];
+
+export const EYES = ['ortho', 'mate'];
+
+export class TileCache {
+  constructor(gl, product, changed) {
+    this.gl = gl;
+    this.product = product;
+    this.changed = changed;
+    const { tiles, grid } = product;
+    this.tile = tiles.size;
+    this.apron = tiles.apron;
+    this.levels = tiles.levels;
+    this.size = grid.size;
+    // one megabyte each: those that a large screen shows of both eyes at two levels
+    const pixels = window.innerWidth * window.innerHeight * Math.min(window.devicePixelRatio || 1, 2) ** 2;
+    this.capacity = Math.min(320, Math.max(96, Math.ceil(6 * pixels / this.tile ** 2) + 48));
+    this.resident = new Map();
+    this.waiting = new Map();
+    this.loading = new Map();
+    this.ready = [];
+    this.failed = new Map();
+    this.uploads = 0;
+    this.uploadedTwice = 0;
+    this.frame = 0;
+  }
+
+  levelSize(level) {
+    return this.size.map((n) => Math.ceil(n / 2 ** level));
+  }
+
+  // The tile if it is on the GPU.
+  get(eye, level, col, row) {
+    const tile = this.resident.get(`${eye}/${level}/${col}_${row}`);
+    if (tile) tile.used = this.frame;
+    return tile;
+  }
+
+  // Say which tiles the view wants, in the order of their importance; others that wait are given up.
+  want(list) {
+    this.waiting.clear();
+    const wanted = new Set();
+    for (const place of list) {
+      const key = `${place[0]}/${place[1]}/${place[2]}_${place[3]}`;
+      wanted.add(key);
+      if (!this.resident.has(key) && !this.loading.has(key) && !this.#isBlocked(key)) this.waiting.set(key, place);
+    }
+    for (const [key, job] of this.loading) if (!wanted.has(key)) job.abort();
+    this.ready = this.ready.filter((tile) => {
+      if (wanted.has(tile.key)) return true;
+      this.loading.delete(tile.key);
+      tile.bitmap.close();
+      return false;
+    });
+    this.#next();
+  }
+
+  #isBlocked(key) {
+    const failure = this.failed.get(key);
+    return failure !== undefined && performance.now() < failure.until;
+  }
+
+  #next() {
+    for (const [key, place] of this.waiting) {
+      if (this.loading.size >= CONCURRENT) return;
+      this.waiting.delete(key);
+      this.#fetch(key, place);
+    }
+  }
+
+  async #fetch(key, place) {
+    const job = new AbortController();
+    this.loading.set(key, job);
+    const path = `${this.product.folder}/${key}.${this.product.tiles.format}`;
+    try {
+      const bitmap = await fetchBitmap(path, this.product.version, job.signal);
+      if (job.signal.aborted) {
+        bitmap.close();
+        this.loading.delete(key);
+      } else {
+        this.ready.push({ key, place, bitmap });
+        this.failed.delete(key);
+      }
+    } catch (error) {
+      this.loading.delete(key);
+      if (error.name !== 'AbortError') this.#failure(key, error);
+    }
+    this.#next();
+    this.changed();
+  }
+
+  #failure(key, error) {
+    const count = (this.failed.get(key)?.count ?? 0) + 1;
+    const wait = RETRY_MS[Math.min(count, RETRY_MS.length) - 1];
+    this.failed.set(key, { count, until: performance.now() + wait, message: error.message });
+    setTimeout(() => this.changed(), wait + 10);
+  }
+
+  // Upload what has arrived, for two milliseconds at most; whether something is left.
+  upload() {
+    this.frame++;
+    const start = performance.now();
+    while (this.ready.length) {
+      const tile = this.ready.shift();
+      this.loading.delete(tile.key);
+      this.#put(tile);
+      if (performance.now() - start > UPLOAD_MS) break;
+    }
+    return this.ready.length > 0;
+  }
+
+  #put({ key, place, bitmap }) {
+    if (this.resident.has(key)) {
+      this.uploadedTwice++;
+      bitmap.close();
+      return;
+    }
+    const gl = this.gl;
+    if (this.resident.size >= this.capacity) this.#drop();
+    const texture = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    gl.pixelStorei(gl.UNPACK_COLORSPACE_CONVERSION_WEBGL, gl.NONE);
+    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA8, bitmap.width, bitmap.height);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, gl.RGBA, gl.UNSIGNED_BYTE, bitmap);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.LINEAR);
+    this.resident.set(key, { texture, place, width: bitmap.width, height: bitmap.height, used: this.frame, nearest: false });
+    this.uploads++;
+    bitmap.close();
+  }
+
+  #drop() {
+    let oldest = null, age = this.frame;
+    for (const [key, tile] of this.resident) {
+      // the coarsest level stays: it is what is shown where nothing else is there yet
+      if (tile.used < age && tile.place[1] < this.levels - 1) {
+        age = tile.used;
+        oldest = key;
+      }
+    }
+    if (oldest === null) return;
+    this.gl.deleteTexture(this.resident.get(oldest).texture);
+    this.resident.delete(oldest);
+  }
+
+  // Everything was lost with the context.
+  forget() {
+    this.resident.clear();
+  }
+
+  get isBusy() {
+    return this.waiting.size + this.loading.size + this.ready.length > 0;
+  }
+
+  get failures() {
+    return this.failed.size;
+  }
+}
