@@ -198,7 +198,7 @@ def test_plans_that_cannot_be_adjusted():
         simulated_pair(plan_at("UTM CM", 800.0, principal_distance_mm=8.0, tilt_deg=19.0))
     with pytest.raises(InputError, match="no point that two photographs see"):
         simulated_block(plan_at("UTM CM", 800.0, principal_distance_mm=305.0, format_mm=13.0, tilt_deg=19.0))
-    apart = plan_at("L93 51N", 7000.0, format_mm=100.0, overlap=0.21, sidelap=0.66, relief_m=2800.0)
+    apart = plan_at("GK+2", 3000.0, overlap=0.05, sidelap=0.3)
     with pytest.raises(OrientationError, match="more overlap"):
         indirect_outcome(GridWork(apart, simulated_block(apart)), "nothing")
 
@@ -206,6 +206,8 @@ def test_plans_that_cannot_be_adjusted():
 def test_plans_that_cannot_be_flown():
     with pytest.raises(CrsError, match="conformal"):
         FlightPlan("EPSG:3035", 4e6, 3e6, 1500.0)
+    with pytest.raises(CrsError, match="they would lie inside with x and y exchanged"):
+        FlightPlan("EPSG:2154", 6_050_000.0, 1_240_000.0, 1500.0)
     for field, value in (("overlap", 1.0), ("sidelap", 0.0), ("relief_m", 1400.0), ("tilt_deg", 60.0),
                          ("principal_distance_mm", 0.0)):  # fmt: skip
         with pytest.raises(InputError, match=field):

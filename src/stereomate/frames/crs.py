@@ -248,6 +248,12 @@ def _short(text: str) -> str:
     return text if len(text) < 40 else parse(text).name
 
 
+def same_crs(first: str, second: str) -> bool:
+    """Whether the horizontal parts of two CRSs are the same, the order of axes aside."""
+    a, b = (horizontal_part(parse(text)) for text in (first, second))
+    return bool(a.equals(b, ignore_axis_order=True))
+
+
 def same_datum(first: Geodetic, second: Geodetic) -> bool:
     """Whether two geodetic systems are one: same definition, or one of them is only an ellipsoid and it
     agrees.

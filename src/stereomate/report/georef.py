@@ -25,8 +25,8 @@ METHOD_WORDS: Final = {
     "P1": "curvature\nonly",
     "M2": "M2 heights\nscaled",
     "M3": "M3 c\nscaled",
-    "M3i": "M3 c per\nphotograph",
-    "M4": "M4 image\ncorrections",
+    "M3i": "M3 c per\nphoto",
+    "M4": "M4 image\ncorrected",
     "M1": "M1 tangent\nframe",
 }
 
@@ -85,7 +85,7 @@ def _draw_bars(axes: Axes, prediction: Prediction) -> None:
     axes.text(
         len(METHODS) - 0.5,
         prediction.expected_m * 1.06,
-        f"expected of the flight: {prediction.expected_m:.3g} m",
+        f"expected: {prediction.expected_m:.3g} m",
         color=_BAD,
         ha="right",
         va="bottom",
@@ -96,7 +96,7 @@ def _draw_bars(axes: Axes, prediction: Prediction) -> None:
     axes.text(
         len(METHODS) - 0.5,
         prediction.expected_m / 3.0 * 1.06,
-        "a third of it: harmless",
+        "harmless: a third",
         color=_GOOD,
         ha="right",
         va="bottom",

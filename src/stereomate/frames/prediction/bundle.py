@@ -19,6 +19,8 @@ Indices = NDArray[np.int64]
 # One micrometre in the image, five centimetres for positions by GNSS: only their ratio matters.
 _IMAGE_SIGMA = 1e-6
 _GNSS_SIGMA = 0.05
+# A step of this size is no adjustment any more.
+_DIVERGED_M = 1e5
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,10 +75,11 @@ def adjust(problem: BundleProblem, start: BundleState, iterations: int = 15) -> 
             outer, points = _step(problem, state)
         except np.linalg.LinAlgError:
             outer = points = np.full(1, np.nan)
-        if not (np.isfinite(outer).all() and np.isfinite(points).all()):
+        largest = max(float(np.abs(outer).max()), float(np.abs(points).max()))
+        if not largest < _DIVERGED_M:
             raise undetermined()
         state = _moved(problem, state, outer, points)
-        if max(float(np.abs(outer).max()), float(np.abs(points).max())) < 1e-9:
+        if largest < 1e-9:
             break
     return state
 

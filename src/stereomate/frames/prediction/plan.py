@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.errors import InputError
+from stereomate.frames.checks import check_coordinates
 from stereomate.frames.factors import effective_scale, gauss_radius, grid_factors
 from stereomate.frames.heights import HeightSystem
 from stereomate.frames.mapframe import MapFrame
@@ -76,6 +77,7 @@ class FlightPlan:
         if self.relief_m >= 0.9 * self.flying_height_m:
             raise InputError("the relief must stay below the aircraft", field="relief_m", value=self.relief_m)
         self.frame.require_conformal()
+        check_coordinates(self.frame, (self.x, self.y), "positions of the block")
 
     @cached_property
     def frame(self) -> MapFrame:

@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 # Height accuracy expected of a flight, as a share of the flying height (Ressl's 0.06 per mille).
 EXPECTED_SHARE = 0.06e-3
 
+_METHOD = {"classical": "classical", "sphere": "spherical"}
+
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
@@ -82,9 +84,8 @@ class Prediction:
                 f"convergence {np.rad2deg(plan.convergence):+.4f} degrees."
             ),
             (
-                f"Direct georeferencing in the grid with {self.curvature.method} Earth curvature correction: "
-                "points "
-                f"{abs(centre):.3f} m too {'high' if centre > 0 else 'low'} in the middle of a model, "
+                f"Direct georeferencing in the grid with {_METHOD[self.curvature.method]} Earth curvature "
+                f"correction: points {abs(centre):.3f} m too {'high' if centre > 0 else 'low'} in the middle of a model, "
                 f"at worst {worst:+.3f} m: {abs(worst) / self.expected_m:.1f} times the "
                 f"{self.expected_m:.3f} m expected of the flight."
             ),
