@@ -190,7 +190,7 @@ def test_all_that_is_wrong_is_named(document):
 
 def test_products_section_is_the_options_of_the_engine():
     """The schema has the types, RectifyOptions the rules: same keys, same defaults."""
-    keys = set(ProductsSection.model_fields) - {"area", "sheets", "breaklines", "pairs"}
+    keys = set(ProductsSection.model_fields) - {"area", "sheets", "breaklines", "seam_file", "pairs"}
     assert keys == set(RectifyOptions.__dataclass_fields__)
     section, options = ProductsSection(), RectifyOptions()
     assert {key: getattr(section, key) for key in keys} == {key: getattr(options, key) for key in keys}

@@ -27,6 +27,7 @@ COMMANDS: Final = (
     "init",
     "check",
     "run",
+    "mosaic",
     "demo",
     "view",
     "publish",

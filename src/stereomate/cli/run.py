@@ -57,21 +57,23 @@ def _run(
         strict=strict,
     )
     with log_to_file(out / "run.log"), progress_of(settings, as_json) as progress:
-        result = run(loaded, out, options, progress, lambda made: _write_documents(made, started))
+        result = run(loaded, out, options, progress, lambda made: write_documents(made, started))
     if as_json:
         print_json(summary_record(result))
     elif settings.verbosity >= 0:
-        _print_summary(summary_record(result))
+        print_summary(summary_record(result))
 
 
-def _write_documents(result: RunResult, started: float) -> list[Path]:
+def write_documents(result: RunResult, started: float) -> list[Path]:
+    """Write what lies beside the rasters of a run."""
     # The figures' libraries take memory that the tiles need first.
-    from stereomate.project.documents import write_documents
+    from stereomate.project import documents
 
-    return write_documents(result, started)
+    return documents.write_documents(result, started)
 
 
-def _print_summary(summary: dict[str, object]) -> None:
+def print_summary(summary: dict[str, object]) -> None:
+    """Print what a run made as a table."""
     from rich.console import Console
     from rich.table import Table
 

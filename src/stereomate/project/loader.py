@@ -38,7 +38,8 @@ from stereomate.rectify.options import RectifyOptions
 Array = NDArray[np.float64]
 LOG = logging.getLogger(__name__)
 
-_FILES_OF_PRODUCTS = {"area", "sheets", "breaklines", "pairs"}
+_FILES_WITH_DIGEST = ("area", "sheets", "breaklines", "seam_file")
+_FILES_OF_PRODUCTS = {"area", "sheets", "breaklines", "seam_file", "pairs"}
 
 
 def load(path: str | Path, *, strict: bool | None = None) -> Project:
@@ -93,6 +94,7 @@ def load(path: str | Path, *, strict: bool | None = None) -> Project:
         sheets=read_sheets(file, reading, frame),
         water=read_water(file, reading, frame),
         pairs=_pairs(file.products, survey, path),
+        seam_file=_seam_file(file.products, path),
         grid_adjustment=placed.adjustment,
         inputs=_inputs(path, written, survey, file),
         comparison=_comparison(file, reading, survey),
@@ -192,6 +194,16 @@ def _pairs(section: ProductsSection, survey: Survey, path: Path) -> tuple[tuple[
     return tuple(pairs)
 
 
+def _seam_file(section: ProductsSection, path: Path) -> Path | None:
+    if section.seam_file is None:
+        return None
+    found = path.parent / section.seam_file
+    if not found.is_file():
+        rule = "must be a file of seams, as a run writes it"
+        raise ProjectError(rule, file=path, field="products.seam_file", value=section.seam_file)
+    return found
+
+
 def _comparison(file: ProjectFile, reading: Reading, survey: Survey) -> Comparison | None:
     section = file.photos.compare
     if section is None:
@@ -210,7 +222,7 @@ def _inputs(
         control = path.parent / file.control.file
         inputs.append(InputFile("control", control, file_digest(control)))
     water = None if file.terrain is None else file.terrain.water
-    named_files = [(key, getattr(file.products, key)) for key in ("area", "sheets", "breaklines")]
+    named_files = [(key, getattr(file.products, key)) for key in _FILES_WITH_DIGEST]
     for key, name in (*named_files, ("water", water)):
         if name is not None:
             inputs.append(InputFile(key, path.parent / name, file_digest(path.parent / name)))

@@ -55,6 +55,8 @@ class Project:
         Products to cut the block into; empty for one.
     pairs : tuple of (str, str) or None
         Models to use, by names of photographs; None for all that serve.
+    seam_file : Path or None
+        Seams edited by the user, instead of those that would be found.
     grid_adjustment : GridAdjustment or None
         How heights of centres from an adjustment in the grid were changed; None where they are as written.
     inputs : tuple of InputFile
@@ -90,6 +92,7 @@ class Project:
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
     document: Mapping[str, Any]
+    seam_file: Path | None = None
     water: shapely.Geometry | None = None
 
     @property

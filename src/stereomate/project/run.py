@@ -6,11 +6,12 @@ the run lasts; a run that was killed goes on from there and gives the same bytes
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from stereomate import __version__
 from stereomate.coverage.summary import Coverage, survey_coverage
@@ -18,10 +19,12 @@ from stereomate.coverage.survey import Photograph
 from stereomate.errors import ImageError, ProjectError
 from stereomate.project.inputs import file_digest
 from stereomate.project.model import Project
+from stereomate.project.mosaic import planned_mosaics, write_seam_file
 from stereomate.project.output import OutputFolder
 from stereomate.raster.cog import BandStatistics, Georeference, assemble_cog
 from stereomate.raster.files import storing
 from stereomate.rectify.job import RectifyJob
+from stereomate.rectify.mosaic import MosaicSummary
 from stereomate.rectify.planning import Request, plan_products
 from stereomate.rectify.readers import close_readers
 from stereomate.rectify.task import LINEAGE, MATE, ORTHO, ChunkTask, lineage_profile, product_profile
@@ -32,11 +35,15 @@ from stereomate.stereo.product import (
     product_record,
     write_stereo_json,
 )
+from stereomate.stereo.record import relative_path
 from stereomate.tiles import executor as tiles
 from stereomate.tiles.ledger import Ledger, run_key
 from stereomate.tiles.plan import TilePlan
 
 LOG = logging.getLogger(__name__)
+
+# Seams of all products as polygons, to be edited.
+SEAM_FILE: Final = "seams.gpkg"
 
 # stage, done, total
 ProgressSink = Callable[[str, int, int], None]
@@ -61,6 +68,8 @@ class RunOptions:
         Tiles per side of a chunk.
     fresh : bool
         Forget what an earlier run left, and make everything anew.
+    seams : Path or None
+        Seams edited by the user; those of the project without.
     strict : bool
         A photograph that turns out unreadable stops the run instead of being left out.
     """
@@ -72,6 +81,7 @@ class RunOptions:
     agreement: bool = True
     chunk_tiles: int = 2
     fresh: bool = False
+    seams: Path | None = None
     strict: bool = False
 
 
@@ -86,6 +96,8 @@ class ProductResult:
     statistics : dict of str to tuple of BandStatistics
         Per raster.
     chunks_made, chunks_reused : int
+    mosaic : MosaicSummary or None
+        None where one model serves all.
     """
 
     product: StereoProduct
@@ -93,6 +105,7 @@ class ProductResult:
     statistics: dict[str, tuple[BandStatistics, ...]]
     chunks_made: int
     chunks_reused: int
+    mosaic: MosaicSummary | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,11 +252,13 @@ def _run(
         return RunResult(out, project, (), coverage, key, up_to_date=True)
     place.note_unreadable(unreadable)
     try:
-        results = tuple(_make_product(job, place, key, options, report) for job in jobs)
+        results = _make_products(project, jobs, place, key, options, report)
     finally:
         close_readers()
     result = RunResult(out, project, results, coverage, key)
-    written = [] if documents is None else documents(result)
+    written = [] if documents is None else list(documents(result))
+    if write_seam_file(out / SEAM_FILE, [r.product.job for r in results]):
+        written.append(out / SEAM_FILE)
     place.remove_stale({name for r in results for name in r.product.files.hashes} | {p.name for p in written})
     write_stereo_json(
         out / "stereo.json",
@@ -251,14 +266,41 @@ def _run(
         {
             "key": key,
             "project": project.name,
+            "project_file": relative_path(project.path, out),
             "notes": list(project.notes),
             "inputs": [{"role": i.role, "file": i.path.name, "digest": i.digest} for i in project.inputs],
             "documents": sorted(path.name for path in written),
             "unreadable": unreadable,
+            "mosaic": {
+                r.product.job.name: dataclasses.asdict(r.mosaic) for r in results if r.mosaic is not None
+            },
         },
     )
     place.forget()
     return result
+
+
+def _make_products(
+    project: Project,
+    jobs: list[RectifyJob],
+    place: OutputFolder,
+    key: str,
+    options: RunOptions,
+    report: ProgressSink,
+) -> tuple[ProductResult, ...]:
+    """Balance and seams of the whole block, then the products one after the other."""
+    report("mosaic", 0, 1)
+    executor = tiles.executor_of(options.threads, options.scheduler)
+    edited = _edited_seams(project, options)
+    planned = planned_mosaics(jobs, place.workspace / "mosaic.json", key, executor, edited)
+    report("mosaic", 1, 1)
+    return tuple(
+        replace(_make_product(job, place, key, options, report), mosaic=summary) for job, summary in planned
+    )
+
+
+def _edited_seams(project: Project, options: RunOptions) -> Path | None:
+    return options.seams if options.seams is not None else project.seam_file
 
 
 def _photograph_of(project: Project, error: ImageError) -> Photograph | None:
@@ -284,6 +326,8 @@ def _definition_key(project: Project, jobs: list[RectifyJob], options: RunOption
         products=records,
         chunk_tiles=options.chunk_tiles,
         agreement=options.agreement,
+        # those of the project are among its inputs
+        seams=None if options.seams is None else file_digest(options.seams),
     )
 
 

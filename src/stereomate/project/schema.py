@@ -18,6 +18,7 @@ from stereomate.rectify.options import (
     LawKind,
     Masking,
     Resampling,
+    SeamKind,
 )
 
 FORMAT: Final = 1
@@ -223,6 +224,14 @@ class ObservationsSection(Section):
     points: str | None = None
 
 
+class AccuracySection(Section):
+    """``[accuracy]``: what is asked of the result; each is judged in the report."""
+
+    horizontal_m: Positive | None = None
+    vertical_m: Positive | None = None
+    y_parallax_px: Positive | None = None
+
+
 class OrientSection(Section):
     """``[orient]``: how `stereomate orient` finds the orientation of the photographs."""
 
@@ -265,11 +274,15 @@ class ProductsSection(Section):
     nodata: float | None = None
     dtype: DataType | None = None
     bands: Bands | None = None
+    seams: SeamKind = "least-cost"
+    feather_px: float = 8.0
+    balance: bool = True
     strict: bool = False
     # Files that the loader reads; everything above is a field of RectifyOptions.
     area: str | None = None
     sheets: str | None = None
     breaklines: str | None = None
+    seam_file: str | None = None
     pairs: Pairs | None = None
 
 
@@ -281,6 +294,7 @@ class ProjectFile(Section):
     photos: PhotosSection
     terrain: TerrainSection | None = None
     control: ControlSection | None = None
+    accuracy: AccuracySection | None = None
     observations: ObservationsSection | None = None
     orient: OrientSection = OrientSection()
     products: ProductsSection = ProductsSection()

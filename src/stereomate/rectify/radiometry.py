@@ -5,7 +5,8 @@ A photograph records ground of brightness L as
     I(x, y) = L exp(g + a x + b y + u x^2 + v y^2 + w r^4)
 
 per band, with x, y, r counted from its middle in half diagonals: a gain and a gradient of its own, and the
-vignetting that all photographs of a camera share (round or not: masks and lenses differ). The logarithms are linear in the unknowns. Wherever two
+vignetting that all photographs of a camera share (round or not: masks and lenses differ). The logarithms
+are linear in the unknowns. Wherever two
 photographs show the same ground, L falls out of the difference of their logarithms: one observation.
 """
 
