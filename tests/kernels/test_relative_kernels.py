@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import spline_filter
 
 from stereomate.measurement.kernels.least_squares import CONVERGED, OUTSIDE, match_patch
 from stereomate.measurement.kernels.matching import two_largest
+from stereomate.measurement.kernels.noise import spline_weights, unit_noise
 from stereomate.relative.kernels.coplanarity import adjust, closure_and_image_derivatives, coplanarity
 from stereomate.relative.kernels.five_point import MAX_SOLUTIONS, five_point, real_roots
 from stereomate.relative.kernels.pose import (
@@ -131,13 +133,47 @@ def test_singular_equations_are_seen():
     np.testing.assert_allclose(inverse, np.linalg.inv(good))
 
 
+TAPS = np.array([0.25, 0.5, 0.25])
+
+
+def test_noise_is_carried_back_to_the_pixels():
+    """The propagation against the matrices it stands for."""
+    rng = np.random.default_rng(1)
+    radius, side, size = 2, 5, 24
+    p = np.array([11.3, 1.05, 0.1, 12.8, -0.07, 0.95, 1.2, 4.0])
+    coefficients = rng.normal(size=(2, side, side))
+    right_taps = np.array([-0.1, 0.2, 0.8, 0.2, -0.1])
+    out = np.empty(4)
+    unit_noise(coefficients, radius, p, TAPS, right_taps, out)
+    smooth = [sum(w * np.eye(size, k=k - len(t) // 2) for k, w in enumerate(t)) for t in (TAPS, right_taps)]
+    take_left, take_right = np.zeros((side**2, size**2)), np.zeros((side**2, size**2))
+    weights = [np.empty(4), np.empty(4)]
+    for row in range(side):
+        for col in range(side):
+            u, v = col - radius, row - radius
+            take_left[row * side + col, (12 + v) * size + 12 + u] = 1.0
+            x, y = p[0] + p[1] * u + p[2] * v - 0.5, p[3] + p[4] * u + p[5] * v - 0.5
+            spline_weights(x - np.floor(x), weights[0])
+            spline_weights(y - np.floor(y), weights[1])
+            for m, k in np.ndindex(4, 4):
+                pixel = (int(np.floor(y)) - 1 + m) * size + int(np.floor(x)) - 1 + k
+                take_right[row * side + col, pixel] = weights[1][m] * weights[0][k]
+    raw = [take_left @ np.kron(smooth[0], smooth[0]), p[6] * take_right @ np.kron(smooth[1], smooth[1])]
+    covariance = sum(part @ part.T for part in raw)
+    c = coefficients.reshape(2, -1)
+    expected = c @ covariance @ c.T
+    np.testing.assert_allclose(out, [*expected[0], expected[1, 1], np.trace(covariance)], rtol=1e-12)
+
+
 def test_patch_at_the_very_edge():
     rng = np.random.default_rng(0)
     image = rng.uniform(0.0, 255.0, (30, 34)).astype(np.float32)
+    spline = spline_filter(image, mode="mirror").astype(np.float32)
     numbers = np.array([3.0, 10.0, 0.001, 3.0, 0.5, 0.5, 1.0])
     for column, row, state in ((3, 3, OUTSIDE), (5, 5, CONVERGED), (28, 24, CONVERGED), (31, 15, OUTSIDE)):
         p = np.array([column + 0.5, 1.0, 0.0, row + 0.5, 0.0, 1.0, 1.0, 0.0])
-        assert match_patch(image, image, column, row, p, numbers, np.empty(3), np.empty(3)) == state
+        found = match_patch(image, spline, column, row, p, numbers, (TAPS, TAPS), np.empty(3), np.empty(3))
+        assert found == state
 
 
 def test_two_largest():

@@ -7,6 +7,7 @@ are smallest (F. Ackermann 1984, A. Grün 1985).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -18,6 +19,11 @@ from stereomate.errors import ImageError, InputError
 from stereomate.measurement.kernels import least_squares as kernels
 
 Array = NDArray[np.float64]
+
+# Neighbours on either side in the filter for spline coefficients: the next ones weigh less than 1e-6.
+_SPLINE_REACH: Final = 10
+# Taps smaller than this part of the largest one carry no noise that counts.
+_LEAST_TAP: Final = 2e-3
 
 STATES: Final = {
     kernels.CONVERGED: "converged",
@@ -84,9 +90,9 @@ class LeastSquaresMatches:
     left_px, right_px : ndarray, shape (n, 2)
         Column and row. The left ones are the centres of the pixels in which the given points lie.
     covariance_px : ndarray, shape (n, 3)
-        Of the right position (xx, xy, yy) from the grey value residuals; NaN where not matched. Standard
-        deviations come out too small by up to a third: the interpolation smooths part of the noise away, and
-        smoothing both images correlates it.
+        Of the right position (xx, xy, yy) from the grey value residuals; NaN where not matched. The noise of
+        the pixels is taken as white and the same in both images; that smoothing correlates it and that
+        interpolation takes part of it away is propagated rigorously (`measurement.kernels.noise`).
     affine : ndarray, shape (n, 2, 2)
         Right from left pixel differences.
     correlation, grey_deviation : ndarray, shape (n,)
@@ -159,11 +165,13 @@ def match_least_squares(
     parameters = np.zeros((n, kernels.UNKNOWNS))
     parameters[:, 0], parameters[:, 3] = start[:, 0], start[:, 1]
     parameters[:, 1:3], parameters[:, 4:6] = matrix[:, 0], matrix[:, 1]
+    smoothing = _smoothing(options.smoothing_px)
+    spline = _spline_filter(smoothing)
     covariance, out = np.full((n, 3), np.nan), np.full((n, 3), np.nan)
     state = np.zeros(n, dtype=np.int64)
     kernels.match_patches(
-        _smoothed(left, options.smoothing_px),
-        _smoothed(right, options.smoothing_px),
+        _filtered(left, smoothing),
+        _filtered(right, spline),
         cells[:, 0].astype(np.int64),
         cells[:, 1].astype(np.int64),
         parameters,
@@ -179,6 +187,7 @@ def match_least_squares(
             ],
             dtype=np.float64,
         ),
+        (_without_tails(smoothing), _without_tails(spline)),
         covariance,
         out,
         state,
@@ -191,9 +200,30 @@ def match_least_squares(
     return LeastSquaresMatches(centres, position, covariance, final, out[:, 0], out[:, 1], state)
 
 
-def _smoothed(image: NDArray[Any], sigma: float) -> NDArray[np.float32]:
-    single = np.ascontiguousarray(image, dtype=np.float32)
+def _smoothing(sigma: float) -> Array:
+    """Gaussian along one direction."""
     if sigma <= 0.0:
+        return np.ones(1)
+    # Four standard deviations on either side.
+    return np.asarray(cv2.getGaussianKernel(2 * math.ceil(4.0 * sigma) + 1, sigma, cv2.CV_64F)).ravel()
+
+
+def _spline_filter(smoothing: Array) -> Array:
+    """Smoothing and the inverse of the sampled cubic B-spline: √3 z^|k|, z = √3 - 2 (M. Unser 1999)."""
+    powers = (math.sqrt(3.0) - 2.0) ** np.abs(np.arange(-_SPLINE_REACH, _SPLINE_REACH + 1))
+    return np.convolve(smoothing, powers / powers.sum())
+
+
+def _without_tails(taps: Array) -> Array:
+    """The filter without what does not matter for the propagation of noise."""
+    half = len(taps) // 2
+    kept = int(np.abs(np.flatnonzero(np.abs(taps) > _LEAST_TAP * np.abs(taps).max()) - half).max())
+    return np.ascontiguousarray(taps[half - kept : half + kept + 1])
+
+
+def _filtered(image: NDArray[Any], taps: Array) -> NDArray[np.float32]:
+    single = np.ascontiguousarray(image, dtype=np.float32)
+    if len(taps) == 1:
         return single
-    smooth: NDArray[np.float32] = cv2.GaussianBlur(single, (0, 0), sigma)
-    return smooth
+    filtered: NDArray[np.float32] = cv2.sepFilter2D(single, -1, taps, taps)
+    return filtered
