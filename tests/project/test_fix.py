@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from stereomate.cli import main
-from stereomate.errors import FormatError, InputError, ProjectError
+from stereomate.errors import CrsError, FormatError, InputError, ProjectError
 from stereomate.formats.orientation_table import read_orientation_table
 from stereomate.project.audit import audit_project
 from stereomate.project.fix import fix_project, results_back
@@ -55,6 +55,13 @@ def test_principal_distance_needs_no_observations_but_a_ground(small):
     text = (small.folder / "fixed" / "orientation.csv").read_text().splitlines()[1]
     assert float(text.split(",")[-1]) == pytest.approx(300.0 / made.fixed.scale[0], abs=1e-4)
     assert made.fixed.ground_m == pytest.approx(200.0)
+    for remedy, scale in (("M3", 1.0), ("M2", float(made.fixed.scale.mean()))):
+        fix_project(small.path, small.folder / "fixed", remedy)
+        (control,) = read_orientation_table(small.folder / "fixed" / "control.csv").rows
+        assert control.numbers["z"] == pytest.approx(200.0 * scale, abs=1e-3)
+    small.write("control.app", "k 13 5400000 512000 200\n")
+    with pytest.raises(CrsError, match=r"control points lie outside.*x and y exchanged"):
+        fix_project(small.path, small.folder / "fixed", "M3")
 
 
 def test_what_cannot_be_fixed(small):

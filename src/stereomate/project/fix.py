@@ -6,7 +6,7 @@ import csv
 import io
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from stereomate.camera.model import Camera
 from stereomate.errors import FormatError, InputError, ProjectError, StorageError
-from stereomate.formats.ign import ImageObservations, write_mes
+from stereomate.formats.ign import GroundPoints, ImageObservations, write_mes
 from stereomate.formats.orientation_table import MAP_COLUMNS, read_orientation_table
 from stereomate.frames.adjusted import space_from_grid_centres
 from stereomate.frames.attitude import AttitudeConvention, written_attitude
+from stereomate.frames.checks import check_coordinates
 from stereomate.frames.fixing import FixedBlock, ImageRays, Remedy, fixed_block
 from stereomate.frames.heights import HeightSystem
 from stereomate.frames.mapframe import MapFrame
@@ -93,6 +94,8 @@ def fix_project(path: Path, folder: Path, remedy: Remedy, *, per_image: bool = F
         "orientation.csv": _orientation_csv(written, block, fixed, cameras),
         _RECORD: _record(block, fixed, words),
     }
+    if file.control is not None:
+        texts["control.csv"] = _control_csv(_control_in(file, path, frame, block.frame), fixed)
     files = _write(folder, texts, _observations(fixed, rays, names, written.names, cameras))
     return FixedProject(folder, files, fixed, tuple(words) + tuple(notes))
 
@@ -101,10 +104,30 @@ def _control_height(file: ProjectFile, path: Path, frame: MapFrame) -> float | N
     """Mean ellipsoidal height of the control, if there is some."""
     if file.control is None:
         return None
+    ellipsoidal = MapFrame(file.control.crs or file.project.crs, HeightSystem.ellipsoidal())
+    return float(_control_in(file, path, frame, ellipsoidal).xyz[:, 2].mean())
+
+
+def _control_in(file: ProjectFile, path: Path, frame: MapFrame, target: MapFrame) -> GroundPoints:
+    """The control of a project in another map."""
+    section = file.control
+    if section is None:
+        raise ProjectError("must be given", file=path, field="control")
     reading = Reading(path, "control", path.parent, file.project.crs, frame.heights)
-    heights = height_system(file.control.heights, frame.heights, reading, "control.heights")
-    control = MapFrame(file.control.crs or file.project.crs, heights)
-    return float(control.geodetic_from_map(read_control(file.control, path.parent).xyz)[:, 2].mean())
+    heights = height_system(section.heights, frame.heights, reading, "control.heights")
+    control = MapFrame(section.crs or file.project.crs, heights)
+    points = read_control(section, path.parent)
+    check_coordinates(control, points.xyz, "control points", path.parent / section.file)
+    return replace(points, xyz=map_from_map(target, control, points.xyz))
+
+
+def _control_csv(points: GroundPoints, fixed: FixedBlock) -> str:
+    """Control points with ellipsoidal heights, scaled where the centres' are."""
+    scale = float(fixed.scale.mean()) if fixed.remedy == "M2" else 1.0
+    rows = [["filename", "x", "y", "z"]]
+    for name, (x, y, z) in zip(points.names, points.xyz.tolist(), strict=True):
+        rows.append([name, f"{x:.5f}", f"{y:.5f}", f"{z * scale:.5f}"])
+    return _csv(rows)
 
 
 def _true_block(
@@ -143,8 +166,8 @@ def _words(fixed: FixedBlock) -> list[str]:
     ]
     if fixed.remedy == "M2":
         words.append(
-            "heights of the centres are multiplied by the scale: do the same with the heights of control "
-            "points, and bring the results back with --back, which divides heights by it"
+            "heights of centres and of control points (control.csv) are multiplied by the scale: bring the "
+            "results back with --back, which divides heights by it"
         )
     elif fixed.remedy == "M3":
         words.append("use the principal distances of orientation.csv, c / tau_e: for vertical photographs")

@@ -85,8 +85,8 @@ class Prediction:
             ),
             (
                 f"Direct georeferencing in the grid with {_METHOD[self.curvature.method]} Earth curvature "
-                f"correction: points {abs(centre):.3f} m too {'high' if centre > 0 else 'low'} in the middle of a model, "
-                f"at worst {worst:+.3f} m: {abs(worst) / self.expected_m:.1f} times the "
+                f"correction: points {abs(centre):.3f} m too {'high' if centre > 0 else 'low'} in the "
+                f"middle of a model, at worst {worst:+.3f} m: {abs(worst) / self.expected_m:.1f} times the "
                 f"{self.expected_m:.3f} m expected of the flight."
             ),
             (
