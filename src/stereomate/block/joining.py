@@ -165,7 +165,7 @@ def join(
         Photographs in no model have a reason each.
     """
     options = options or JoiningOptions()
-    work = _Work(images, options)
+    work = _Work(images, pairs, options)
     free = np.ones(images.photographs, dtype=np.bool_)
     models: list[Model] = []
     reasons: dict[int, str] = {}
@@ -195,9 +195,14 @@ def join(
 class _Work:
     """The observations with what the steps share."""
 
-    def __init__(self, images: BlockImages, options: JoiningOptions) -> None:
+    def __init__(self, images: BlockImages, pairs: Sequence[PairPose], options: JoiningOptions) -> None:
         self.images = images
         self.options = options
+        # Rotations of photographs against their neighbours: neighbour, neighbour from photograph.
+        self.turns: list[list[tuple[int, Array]]] = [[] for _ in range(images.photographs)]
+        for pair in pairs:
+            self.turns[pair.second].append((pair.first, pair.first_from_second))
+            self.turns[pair.first].append((pair.second, pair.first_from_second.T))
         order = np.argsort(images.photo, kind="stable")
         starts = np.searchsorted(images.photo[order], np.arange(images.photographs + 1))
         self.rows = [order[a:b] for a, b in itertools.pairwise(starts)]
@@ -242,13 +247,23 @@ class _Work:
         angle = np.arccos(np.clip(cosine, -1.0, 1.0))
         return np.where((depths > 0.0).all(axis=1), angle, 0.0)
 
-    def intersect(self, model: Model) -> None:
-        """Intersect every point anew from the photographs in the model; gross errors are left out."""
+    def intersect(self, model: Model, of_photo: int | None = None) -> None:
+        """Intersect points anew from the photographs in the model; gross errors are left out.
+
+        Parameters
+        ----------
+        model : Model
+        of_photo : int, optional
+            Only the points that this photograph sees.
+        """
         images = self.images
-        joined = model.joined
-        mine = joined[images.photo]
+        wanted = np.ones(images.points, dtype=np.bool_)
+        if of_photo is not None:
+            wanted[:] = False
+            wanted[images.point[self.rows[of_photo]]] = True
+        mine = model.joined[images.photo] & wanted[images.point]
         model.used[mine] = True
-        model.points[:] = np.nan
+        model.points[wanted] = np.nan
         for _ in range(3):
             rows = np.flatnonzero(mine & model.used)
             rays = Rays(
@@ -258,7 +273,8 @@ class _Work:
                 images.image[rows],
                 images.sigma[rows],
             )
-            model.points[:] = intersect_rays(rays, images.points).points
+            found = intersect_rays(rays, images.points, max_iterations=8).points
+            model.points[wanted] = found[wanted]
             residual = self.standardized(model, rows)
             bad = ~(residual <= self.options.limit_sigmas)
             if not bad.any():
@@ -267,9 +283,9 @@ class _Work:
             worst = _worst_of_each(images.point[rows], np.where(np.isfinite(residual), residual, 1e9), bad)
             model.used[rows[worst]] = False
         rows = np.flatnonzero(mine & model.used)
-        self._without_weak(model, rows)
+        self._without_weak(model, rows, wanted)
 
-    def _without_weak(self, model: Model, rows: Integers) -> None:
+    def _without_weak(self, model: Model, rows: Integers, wanted: Mask) -> None:
         """Points whose rays are nearly parallel, or that still do not fit, are not determined."""
         images = self.images
         point = images.point[rows]
@@ -284,7 +300,7 @@ class _Work:
         misfit = np.zeros(images.points)
         np.maximum.at(misfit, point, np.nan_to_num(self.standardized(model, rows), nan=np.inf))
         weak = (count < 2) | (spread < 0.5 * _LEAST_ANGLE) | (misfit > self.options.limit_sigmas)
-        model.points[weak] = np.nan
+        model.points[weak & wanted] = np.nan
 
     def standardized(self, model: Model, rows: Integers) -> Array:
         """Length of the residual of observations over its standard deviation; NaN behind a camera."""
@@ -335,26 +351,59 @@ class _Work:
             reason = self._resected(model, k, rows)
             if reason is None:
                 reasons.pop(k, None)
-                self.intersect(model)
+                self.intersect(model, k)
                 return True
             reasons[k] = reason
         return False
 
     def _resected(self, model: Model, k: int, rows: Integers) -> str | None:
         """Put a photograph into the model by resection; why not, if it does not fit."""
+        least = max(self.options.least_points, int(self.options.least_share * len(rows)))
+        count, reason = 0, ""
+        # With the rotation of a neighbour's pair the search over triples of points is saved.
+        for start in (self._from_neighbours(model, k, rows), None):
+            try:
+                count = self._fitted(model, k, rows, start)
+            except NotDeterminedError as error:
+                reason = str(error)
+                continue
+            if count >= least:
+                return None
+        model.centres[k], model.rotations[k] = np.nan, np.nan
+        return reason or f"only {count} of the {len(rows)} points it sees agree with the model"
+
+    def _fitted(self, model: Model, k: int, rows: Integers, start: tuple[Array, Array] | None) -> int:
+        """Resect a photograph; how many points agree, the gross errors left out of the last resection."""
         images = self.images
-        points = model.points[images.point[rows]]
-        try:
-            found = resect(images.image[rows], points, sigma=images.sigma[rows][:, None], options=_ROBUST)
-        except NotDeterminedError as error:
-            return str(error)
+        points, image, sigma = model.points[images.point[rows]], images.image[rows], images.sigma[rows]
+        found = resect(image, points, sigma=sigma[:, None], start=start, options=_ROBUST)
         model.centres[k], model.rotations[k] = found.centre, found.object_from_camera
         good = self.standardized(model, rows) <= self.options.limit_sigmas
-        count = int(np.count_nonzero(good))
-        if count >= self.options.least_points and count >= self.options.least_share * len(rows):
-            return None
-        model.centres[k], model.rotations[k] = np.nan, np.nan
-        return f"only {count} of the {len(rows)} points it sees agree with the model"
+        if np.count_nonzero(good) < self.options.least_points:
+            return int(np.count_nonzero(good))
+        at = found.centre, found.object_from_camera
+        found = resect(image[good], points[good], sigma=sigma[good][:, None], start=at)
+        model.centres[k], model.rotations[k] = found.centre, found.object_from_camera
+        return int(np.count_nonzero(self.standardized(model, rows) <= self.options.limit_sigmas))
+
+    def _from_neighbours(self, model: Model, k: int, rows: Integers) -> tuple[Array, Array] | None:
+        """Start of a resection: the rotation of a pair, the centre that its rays then have in common."""
+        images = self.images
+        joined = model.joined
+        best: tuple[Array, Array] | None = None
+        most = 3
+        points = model.points[images.point[rows]]
+        for other, turn in self.turns[k]:
+            if not joined[other]:
+                continue
+            rotation = model.rotations[other] @ turn
+            centre = _common_centre(points, _directions(images.image[rows]) @ rotation.T)
+            model.centres[k], model.rotations[k] = centre, rotation
+            # The rotation of one pair is good to a few standard deviations of an image point at best.
+            agree = int(np.count_nonzero(self.standardized(model, rows) <= 5.0 * self.options.limit_sigmas))
+            if agree > most:
+                best, most = (centre, rotation), agree
+        return best
 
     def united(self, models: list[Model], adjuster: Adjuster) -> list[Model]:
         """Models that share points joined by a similarity; the largest first."""
@@ -402,6 +451,21 @@ class _Work:
 
 def _directions(image: Array) -> Array:
     return np.column_stack([image, -np.ones(len(image))])
+
+
+def _common_centre(points: Array, directions: Array) -> Array:
+    """Where rays of given directions through points meet, those far off weighted down; shape (3,)."""
+    unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    projectors = np.eye(3) - unit[:, :, None] * unit[:, None, :]
+    weights = np.ones(len(points))
+    centre = np.zeros(3)
+    for _ in range(8):
+        weighted = projectors * weights[:, None, None]
+        normal, right = weighted.sum(axis=0), np.einsum("nij,nj->i", weighted, points)
+        centre = np.linalg.lstsq(normal, right, rcond=None)[0]
+        miss = np.linalg.norm(np.einsum("nij,nj->ni", projectors, points - centre), axis=1)
+        weights = 1.0 / np.maximum(miss, max(float(np.median(miss)), 1e-12))
+    return centre
 
 
 def _worst_of_each(point: Integers, residual: Array, bad: Mask) -> Integers:

@@ -1,0 +1,384 @@
+"""Stages of an orientation up to its start values: features, pairs, tie points, start, refined tie points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereomate.block.refine import OrientedPoints, measure_again
+from stereomate.block.start import KnownPoints, KnownPositions, find_start
+from stereomate.block.start_pairs import Approximation, PairSelection
+from stereomate.block.tie_points import (
+    BlockPhoto,
+    PairResult,
+    TiePointOptions,
+    choose_pairs,
+    find_features,
+    match_pairs,
+    pair_poses,
+    tie_points,
+)
+from stereomate.camera.model import Camera
+from stereomate.errors import FormatError, ImageError, InputError
+from stereomate.formats.image_points import ImageMeasurements
+from stereomate.formats.lens import Lens, lens_of
+from stereomate.measurement.database import CameraRow, ImageRow, MeasurementDatabase
+from stereomate.measurement.features import FeatureOptions
+from stereomate.measurement.tracks import ThinningOptions, TiePoints
+from stereomate.project.inputs import PhotoProblem
+from stereomate.project.orient_control import Control
+from stereomate.project.orient_inputs import OrientInputs
+from stereomate.relative.feature_pairs import AutomaticOptions
+from stereomate.tiles import Executor
+from stereomate.tiles.ledger import run_key
+
+Array = NDArray[np.float64]
+ProgressSink = Callable[[str, int, int], None]
+
+# COLMAP's numbers of PINHOLE, OPENCV and OPENCV_FISHEYE.
+_PINHOLE, _OPENCV, _FISHEYE = 1, 4, 5
+# Standard deviation of tie points from elsewhere that state none.
+_STATED_SIGMA_PX = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class PartStart:
+    """A connected part of the block: its photographs, their start orientations, its datum.
+
+    Attributes
+    ----------
+    photos : tuple of int
+    centres, rotations : ndarray, shape (len(photos), 3) and (len(photos), 3, 3)
+    datum : {"positions", "control", "none"}
+    outliers, notes : tuple of str
+    """
+
+    photos: tuple[int, ...]
+    centres: Array
+    rotations: Array
+    datum: str
+    outliers: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """A block with measurements and start values.
+
+    Attributes
+    ----------
+    photos : tuple of BlockPhoto
+    pairs : tuple of PairResult
+    selection : str
+        How pairs were chosen.
+    ties : TiePoints
+        As they will be adjusted.
+    points : ndarray, shape (k, 3)
+        Start of the tie points; NaN where not determined.
+    parts : tuple of PartStart
+        The largest first.
+    not_joined : dict of int to str
+    counts : dict
+        Of tracks, contradictions, tie points, refined observations and failures.
+    problems : tuple of PhotoProblem
+        Photographs that turned out unreadable.
+    """
+
+    photos: tuple[BlockPhoto, ...]
+    pairs: tuple[PairResult, ...]
+    selection: str
+    ties: TiePoints
+    points: Array
+    parts: tuple[PartStart, ...]
+    not_joined: dict[int, str]
+    counts: dict[str, Any]
+    problems: tuple[PhotoProblem, ...]
+
+
+def measure_block(
+    inputs: OrientInputs, database_path: Path, executor: Executor | None, progress: ProgressSink
+) -> Measured:
+    """Measure a block and find its start values; what is finished is kept in the database.
+
+    Raises
+    ------
+    NotDeterminedError
+        If no two photographs can be oriented to each other.
+    """
+    options = tie_point_options(inputs)
+    photos = tuple(
+        BlockPhoto(k + 1, p.path.name, p.path, p.camera, p.digest) for k, p in enumerate(inputs.photos)
+    )
+    with MeasurementDatabase.open(database_path) as database:
+        _describe(database, photos, inputs)
+        failed = find_features(database, photos, options, executor, _named(progress, "features"))
+        problems = tuple(
+            PhotoProblem(photos[k - 1].name, ImageError(error)) for k, error in sorted(failed.items())
+        )
+        selection = _selection(database, photos, inputs, options, failed)
+        pairs = match_pairs(database, photos, selection, options, executor, _named(progress, "pairs"))
+        progress("tie points", 0, 1)
+        if inputs.tie_points is None:
+            ties, counts = tie_points(database, photos, selection, options)
+        else:
+            ties, counts = _stated(inputs.tie_points, photos)
+        progress("tie points", 1, 1)
+        start = _start(database, photos, selection, ties, inputs, progress)
+        parts, points, used = start.parts, start.points, start.used
+        if inputs.file.orient.refine and inputs.tie_points is None:
+            oriented = _united(parts, len(photos), points)
+            refined, measured = measure_again(
+                database, photos, ties.select(used), oriented, None, executor, _named(progress, "refinement")
+            )
+            ties, counts = refined, {**counts, "refined": measured}
+        else:
+            ties = ties.select(used).with_rays(2)
+    return Measured(photos, pairs, selection.how, ties, points, parts, start.not_joined, counts, problems)
+
+
+def tie_point_options(inputs: OrientInputs) -> TiePointOptions:
+    """Options of features, pairs and thinning from the project file."""
+    section = inputs.file.orient
+    automatic = AutomaticOptions(
+        largest_side_px=section.largest_side_px,
+        features=FeatureOptions(max_features=section.features),
+        least_points=20,
+    )
+    thinning = ThinningOptions(
+        per_photo=section.points_per_photo, per_place=max(1, section.points_per_photo // 60)
+    )
+    return TiePointOptions(automatic, thinning=thinning)
+
+
+def _named(progress: ProgressSink, stage: str) -> Callable[[int, int], None]:
+    return lambda done, total: progress(stage, done, total)
+
+
+def _describe(database: MeasurementDatabase, photos: Sequence[BlockPhoto], inputs: OrientInputs) -> None:
+    """State cameras, photographs and positions, for this program and for COLMAP."""
+    numbers: dict[str, int] = {}
+    cameras: dict[int, CameraRow] = {}
+    for photo in photos:
+        if photo.camera.name not in numbers:
+            numbers[photo.camera.name] = len(numbers) + 1
+            cameras[numbers[photo.camera.name]] = _colmap_camera(photo.camera)
+    database.set_photographs(cameras, [ImageRow(p.number, p.name, numbers[p.camera.name]) for p in photos])
+    known = inputs.positions.geographic
+    database.set_positions(
+        {
+            photo.number: (float(known[k, 1]), float(known[k, 0]), float(known[k, 2]))
+            for k, photo in enumerate(photos)
+            if np.isfinite(known[k]).all()
+        }
+    )
+
+
+def _colmap_camera(camera: Camera) -> CameraRow:
+    """As COLMAP's model that is nearest; a distortion it does not know is left out."""
+    try:
+        lens = lens_of(camera)
+    except FormatError:
+        (a, b, u), (d, e, v) = camera.pixel_from_photo
+        f = camera.principal_distance_mm
+        x, y = camera.principal_point_mm
+        lens = Lens(
+            "pinhole",
+            camera.size_px,
+            float(np.hypot(a, d)) * f,
+            float(np.hypot(b, e)) * f,
+            a * x + b * y + u,
+            d * x + e * y + v,
+        )
+    plain = (lens.fx, lens.fy, lens.cx, lens.cy)
+    if lens.kind == "fisheye":
+        return CameraRow(_FISHEYE, camera.size_px, (*plain, *lens.radial))
+    if lens.kind == "brown" and not any(lens.radial[2:]):
+        return CameraRow(_OPENCV, camera.size_px, (*plain, *lens.radial[:2], lens.p1, lens.p2))
+    return CameraRow(_PINHOLE, camera.size_px, plain)
+
+
+def _selection(
+    database: MeasurementDatabase,
+    photos: Sequence[BlockPhoto],
+    inputs: OrientInputs,
+    options: TiePointOptions,
+    failed: dict[int, str],
+) -> PairSelection:
+    known = inputs.approximation
+    n = len(photos)
+    if inputs.file.orient.pairs == "all":
+        nothing = Approximation(np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan))
+        options = replace(options, pairs=replace(options.pairs, exhaustive=n))
+        known = nothing
+    chosen = choose_pairs(database, photos, known, options)
+    lost = {k - 1 for k in failed}
+    pairs = tuple(pair for pair in chosen.pairs if not lost & set(pair))
+    return PairSelection(pairs, chosen.how)
+
+
+def _stated(given: ImageMeasurements, photos: Sequence[BlockPhoto]) -> tuple[TiePoints, dict[str, Any]]:
+    """Tie points of a file."""
+    index = {Path(photo.name).stem: k for k, photo in enumerate(photos)}
+    index |= {photo.name: k for k, photo in enumerate(photos)}
+    names: dict[str, int] = {}
+    rows = [
+        (names.setdefault(point, len(names)), k, row)
+        for row, (point, name) in enumerate(zip(given.points, given.photographs, strict=True))
+        if (k := index.get(name, index.get(Path(name).stem))) is not None
+    ]
+    if not rows:
+        raise InputError(
+            "holds no measurement in a photograph of the project", file=given.path, field="orient.tie_points"
+        )
+    rows.sort()
+    table = np.array(rows, dtype=np.int64)
+    sigma = given.sigma_px[table[:, 2]]
+    ties = TiePoints(
+        tuple(photo.name for photo in photos),
+        table[:, 0].copy(),
+        table[:, 1].copy(),
+        given.pixels[table[:, 2]],
+        np.where(np.isfinite(sigma), sigma, _STATED_SIGMA_PX),
+        np.full(len(table), -1, dtype=np.int64),
+    )
+    ties = ties.with_rays(2).numbered()
+    return ties, {"tie_points": ties.count, "tie_observations": len(ties), "from": given.path.name}
+
+
+@dataclass(frozen=True, eq=False)
+class _Started:
+    parts: tuple[PartStart, ...]
+    points: Array
+    used: NDArray[np.bool_]
+    not_joined: dict[int, str]
+
+
+def _start(
+    database: MeasurementDatabase,
+    photos: Sequence[BlockPhoto],
+    selection: PairSelection,
+    ties: TiePoints,
+    inputs: OrientInputs,
+    progress: ProgressSink,
+) -> _Started:
+    cameras = [photo.camera for photo in photos]
+    poses = pair_poses(database, photos, selection)
+    positions = KnownPositions(inputs.positions.tangent, inputs.positions.sigma_m)
+    has_positions = bool(np.isfinite(inputs.positions.tangent).any())
+    control = known_points(inputs.control, photos) if inputs.control is not None else None
+    key = run_key(
+        ties=[ties.point.tolist(), ties.photo.tolist(), ties.pixels.tolist()],
+        cameras=[repr(camera) for camera in cameras],
+        poses=[[p.first, p.second, p.base.tolist(), p.first_from_second.tolist()] for p in poses],
+        positions=np.nan_to_num(inputs.positions.tangent, nan=-1e9).tolist(),
+        control=None if control is None else [control.pixels.tolist(), repr(control.xyz.tolist())],
+    )
+    done = database.done("start").get("")
+    if done is not None and done[0] == key:
+        progress("start", len(photos), len(photos))
+        return _started(done[1], len(ties))
+    start = find_start(
+        ties,
+        cameras,
+        poses,
+        positions if has_positions else None,
+        control,
+        progress=_named(progress, "start"),
+    )
+    points = np.full((int(ties.point.max()) + 1, 3), np.nan)
+    used = np.zeros(len(ties), dtype=np.bool_)
+    for part in reversed(start.parts):
+        known = np.isfinite(part.points[:, 0])
+        points[known] = part.points[known]
+        used |= part.used
+    record = {
+        "parts": [
+            {
+                "photos": part.photos.tolist(),
+                "centres": part.centres[part.photos].tolist(),
+                "rotations": part.rotations[part.photos].tolist(),
+                "datum": part.datum.kind,
+                "outliers": list(part.datum.outliers),
+                "notes": list(part.datum.notes),
+            }
+            for part in start.parts
+        ],
+        "points": np.where(np.isfinite(points), points, 1e300).tolist(),
+        "used": np.flatnonzero(used).tolist(),
+        "not_joined": {str(k): reason for k, reason in start.reasons.items()},
+    }
+    database.set_done("start", "", key, record)
+    progress("start", len(photos), len(photos))
+    return _started(record, len(ties))
+
+
+def _started(record: dict[str, Any], count: int) -> _Started:
+    """From the record, whether it is new or an old one: both ways give the same numbers."""
+    parts = tuple(
+        PartStart(
+            tuple(part["photos"]),
+            np.array(part["centres"]).reshape(-1, 3),
+            np.array(part["rotations"]).reshape(-1, 3, 3),
+            part["datum"],
+            tuple(part["outliers"]),
+            tuple(part["notes"]),
+        )
+        for part in record["parts"]
+    )
+    points = np.array(record["points"], dtype=np.float64).reshape(-1, 3)
+    points[points > 1e299] = np.nan
+    used = np.zeros(count, dtype=np.bool_)
+    used[record["used"]] = True
+    return _Started(parts, points, used, {int(k): v for k, v in record["not_joined"].items()})
+
+
+def _united(parts: Sequence[PartStart], count: int, points: Array) -> OrientedPoints:
+    centres, rotations = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
+    for part in parts:
+        centres[list(part.photos)] = part.centres
+        rotations[list(part.photos)] = part.rotations
+    return OrientedPoints(centres, rotations, points)
+
+
+def known_points(control: Control, photos: Sequence[BlockPhoto]) -> KnownPoints | None:
+    """Control points that are not check points, for the start; None where none is measured."""
+    measured = control_measurements(control, photos)
+    if measured is None:
+        return None
+    point, photo, pixels, _ = measured
+    keep = ~control.check[point]
+    return KnownPoints(
+        control.names, control.tangent_xyz, control.sigma_m, point[keep], photo[keep], pixels[keep]
+    )
+
+
+def control_measurements(
+    control: Control, photos: Sequence[BlockPhoto]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array] | None:
+    """Point, photograph, pixels and standard deviation of the measurements of control points."""
+    given = control.measurements
+    if given is None:
+        return None
+    index = {Path(photo.name).stem: k for k, photo in enumerate(photos)}
+    index |= {photo.name: k for k, photo in enumerate(photos)}
+    names = {name: k for k, name in enumerate(control.names)}
+    rows = [
+        (names[point], k, row)
+        for row, (point, name) in enumerate(zip(given.points, given.photographs, strict=True))
+        if point in names and (k := index.get(name, index.get(Path(name).stem))) is not None
+    ]
+    if not rows:
+        return None
+    table = np.array(sorted(rows), dtype=np.int64)
+    sigma = given.sigma_px[table[:, 2]]
+    return (
+        table[:, 0].copy(),
+        table[:, 1].copy(),
+        given.pixels[table[:, 2]],
+        np.where(np.isfinite(sigma), sigma, control.measurement_sigma_px),
+    )
