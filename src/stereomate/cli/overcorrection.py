@@ -129,6 +129,10 @@ def _project_section(
         typer.Option("--least-contrast", help="Least grey value contrast at a point; 0: no images read."),
     ] = 3.0,
     map_file: Annotated[Path | None, typer.Option("--map", help="Write a map: .svg, .pdf or .png.")] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option("--report", help="Write a page (.html): map, table, drawings with points to drag."),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Over-correction factors of every pair of a project, from cross-sections of its height model.
@@ -147,6 +151,10 @@ def _project_section(
         from stereomate.report.overcorrection_style import save_figure
 
         save_figure(strength_map(geometries, loaded.name), map_file)
+    if report is not None:
+        from stereomate.project.orientation_report import write_strength_report
+
+        write_strength_report(report, loaded, geometries)
     if json:
         print_json([_geometry_dict(geometry) for geometry in geometries])
     else:

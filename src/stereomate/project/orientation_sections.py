@@ -89,6 +89,8 @@ class PairGeometry:
         The same in the map and height system of the project.
     centres_map : ndarray (2, 3)
         Both projection centres there.
+    profiles : tuple of ndarray (m, 2)
+        Profile of the ground of each section by y and z, NaN where there is none.
     previous : str or None
         Photograph before this pair in its strip.
     from_previous : OrientationSection or None
@@ -103,6 +105,7 @@ class PairGeometry:
     points: tuple[FloatArray, ...]
     points_map: tuple[FloatArray, ...]
     centres_map: FloatArray
+    profiles: tuple[FloatArray, ...] = ()
     previous: str | None = None
     from_previous: OrientationSection | None = None
 
@@ -239,6 +242,7 @@ def _pair_geometry(
         points=triples,
         points_map=tuple(map_from_tangent(tangent, frame, three) for three in triples),
         centres_map=map_from_tangent(tangent, frame, np.array([start, start + base])),
+        profiles=tuple(by_place[section.place].section for section in sections.sections),
     )
 
 

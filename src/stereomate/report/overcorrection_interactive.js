@@ -49,10 +49,10 @@ const StereomateOverCorrection = (() => {
   }
 
   function mount(root) {
-    const data = JSON.parse(root.querySelector("script[type='application/json']").textContent);
-    const points = data.section.map((point) => point.slice());
-    const start = data.section.map((point) => point.slice());
-    const profile = data.profile || null;
+    const given = JSON.parse(root.querySelector("script[type='application/json']").textContent);
+    const points = given.section.map((point) => point.slice());
+    const start = given.section.map((point) => point.slice());
+    const profile = given.profile || null;
     const svg = root.querySelector("svg");
     const output = root.querySelector("[data-role='reading']");
     const follow = root.querySelector("[data-role='follow']");
@@ -60,6 +60,15 @@ const StereomateOverCorrection = (() => {
     const depth = Math.max(...points.map((p) => p[1]), ...(profile || []).map((p) => p[1]));
     const reach = Math.max(...points.map((p) => Math.abs(p[0])), ...(profile || []).map((p) => Math.abs(p[0])), 0.5 * depth);
     const view = { y0: -1.25 * reach, y1: 1.25 * reach, z0: -0.1 * depth, z1: 1.25 * depth };
+    const begin = construct(...given.roles.map((row) => points[row]));
+    // The whole circle, where that leaves the points their place.
+    if (begin.meeting !== null && begin.radius < 1.5 * Math.max(depth, reach)) {
+      const room = 1.08 * begin.radius;
+      view.y0 = Math.min(view.y0, begin.centre[0] - room);
+      view.y1 = Math.max(view.y1, begin.centre[0] + room);
+      view.z0 = Math.min(view.z0, begin.centre[1] - room);
+      view.z1 = Math.max(view.z1, begin.centre[1] + room);
+    }
     const size = view.y1 - view.y0;
     svg.setAttribute("viewBox", [view.y0, view.z0, size, view.z1 - view.z0].join(" "));
     const unit = size / 600;
@@ -73,7 +82,7 @@ const StereomateOverCorrection = (() => {
       element("circle", { r: 16 * unit, fill: "transparent" }, group);
       element("circle", { r: 6 * unit, class: "smoc-point" }, group);
       const text = element("text", { y: 24 * unit, "font-size": 17 * unit, class: "smoc-number" }, group);
-      text.textContent = data.numbers[index];
+      text.textContent = given.numbers[index];
       let grip = [0, 0];
       group.addEventListener("pointerdown", (event) => {
         group.setPointerCapture(event.pointerId);
@@ -126,7 +135,7 @@ const StereomateOverCorrection = (() => {
         element("polygon", { points: `${outline} ${last[0]},${view.z1} ${profile[0][0]},${view.z1}`, class: "smoc-ground" }, layer);
         element("polyline", { points: outline, class: "smoc-terrain" }, layer);
       }
-      const [first, second, last] = data.roles.map((row) => points[row]);
+      const [first, second, last] = given.roles.map((row) => points[row]);
       const result = construct(first, second, last);
       if (result.meeting !== null) {
         element("circle", { cx: result.centre[0], cy: result.centre[1], r: result.radius, class: "smoc-circle" }, layer);
@@ -138,14 +147,14 @@ const StereomateOverCorrection = (() => {
         line(result.meeting, result.foot, "perpendicular");
         line([0, 0], last, "d");
         line(result.foot, last, "a");
-        label(result.meeting, 20, "A" + data.numbers[data.roles[1]], "perpendicular");
+        label(result.meeting, 20, "A" + given.numbers[given.roles[1]], "perpendicular");
         label(result.foot, -10, "F", "circle");
       }
       element("circle", { cx: 0, cy: 0, r: 5 * unit, class: "smoc-centre" }, layer);
       label([0, 0], -12, "O", "centre");
       handles.forEach((group, index) => {
         group.setAttribute("transform", `translate(${points[index][0]} ${points[index][1]})`);
-        group.setAttribute("aria-label", `point ${data.numbers[index]}`);
+        group.setAttribute("aria-label", `point ${given.numbers[index]}`);
         group.setAttribute("aria-valuenow", points[index][0].toFixed(1));
         group.setAttribute("aria-valuetext", `y ${points[index][0].toFixed(1)} m, z ${points[index][1].toFixed(1)} m`);
       });

@@ -40,13 +40,14 @@ class Picture:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the report."""
+    """A part of the report; `fragments` are HTML made by this package, put in as they are."""
 
     title: str
     paragraphs: tuple[str, ...] = ()
     tables: tuple[Table, ...] = ()
     pictures: tuple[Picture, ...] = ()
     items: tuple[str, ...] = ()
+    fragments: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
