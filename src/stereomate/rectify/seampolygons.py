@@ -11,10 +11,10 @@ import shapely
 from numpy.typing import NDArray
 
 from stereomate.raster import Window
+from stereomate.rectify.arcs import seam_arcs
 from stereomate.rectify.disagreement import disagreement
 from stereomate.rectify.layout import StereoModel
 from stereomate.rectify.overviews import Overviews
-from stereomate.rectify.seamlines import seam_arcs
 from stereomate.rectify.seams import SeamLine, Seams, grained
 
 Floats = NDArray[np.float64]
