@@ -33,9 +33,7 @@ def write_documents(result: RunResult, started: float) -> list[Path]:
         path = result.out / ("item.json" if not name else f"item_{name}.json")
         write_stac_item(path, _stac_product(result, made), now)
         written.append(path)
-    report = result.out / "report.html"
-    write_run_report(report, result, started)
-    return [*written, report]
+    return [*written, *write_run_report(result.out, result, started)]
 
 
 def _stac_product(result: RunResult, made: ProductResult) -> StacProduct:

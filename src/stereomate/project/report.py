@@ -6,12 +6,19 @@ import math
 import resource
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from stereomate import __version__
+from stereomate.project.accuracy_report import Judgement, accuracy_section, judgements
+from stereomate.project.check_points import CheckPoints, check_points
+from stereomate.project.grid_effects import GridEffect, effects_section, grid_effects
+from stereomate.project.orientation_report import strength_section
+from stereomate.project.orientation_sections import ProjectSectionOptions, sections_of_coverage
 from stereomate.project.run import ProductResult, RunResult
+from stereomate.project.run_record import run_record, write_run_record
 from stereomate.rectify.job import RectifyJob
 from stereomate.rectify.layout import StereoModel
 from stereomate.report.page import Picture, ReportContent, Section, Table, write_report
@@ -35,28 +42,64 @@ NOT_MODELLED = (
 )
 
 
-def write_run_report(path: Path, result: RunResult, started: float) -> None:
-    """Write the report of a run.
+def write_run_report(folder: Path, result: RunResult, started: float) -> list[Path]:
+    """Write the report of a run, as a page and for programs.
 
     Parameters
     ----------
+    folder : Path
+        Gets ``report.html`` and ``report.json``.
     started : float
         `time.monotonic` at the start of the command.
+
+    Returns
+    -------
+    list of Path
     """
-    write_report(path, run_content(result, time.monotonic() - started))
+    found = _findings(result)
+    content = run_content(result, found, time.monotonic() - started)
+    page, record = folder / "report.html", folder / "report.json"
+    write_report(page, content)
+    made = {
+        "command": " ".join(sys.argv),
+        "seconds": time.monotonic() - started,
+        "peak_memory_mb": _peak_memory_mb(),
+    }
+    write_run_record(
+        record, run_record(result, found.checked, found.judged, found.effects, made, NOT_MODELLED)
+    )
+    return [page, record]
 
 
-def run_content(result: RunResult, seconds: float) -> ReportContent:
+@dataclass(frozen=True)
+class _Findings:
+    """What is computed for the report alone."""
+
+    checked: CheckPoints | None
+    judged: tuple[Judgement, ...]
+    effects: tuple[GridEffect, ...]
+
+
+def _findings(result: RunResult) -> _Findings:
+    checked = check_points(result.project)
+    agreement = result.products[0].agreement
+    judged = judgements(result.project, checked, None if agreement is None else agreement.ortho_mate)
+    return _Findings(checked, judged, grid_effects(result.project, result.coverage))
+
+
+def run_content(result: RunResult, found: _Findings, seconds: float) -> ReportContent:
     """Everything the report shows."""
     project = result.project
-    sections = [_layout(result)]
+    sections = [accuracy_section(project, found.checked, found.judged), _layout(result)]
     sections += [_product(result.out, made) for made in result.products]
-    sections += [_pairs(result), _given(result), Section("Not modelled", items=NOT_MODELLED)]
+    sections += [_pairs(result), *_relative_orientation(result)]
+    sections += [effects_section(found.effects)] if found.effects else []
+    sections += [_given(result), Section("Not modelled", items=NOT_MODELLED)]
     memory = _peak_memory_mb()
     return ReportContent(
         title=project.name or project.path.stem,
         subtitle="Orthophoto and stereomate" if result.products[0].product.job.is_stereo else "Orthophoto",
-        facts=_facts(result),
+        facts=[*_facts(result), *((j.requirement, j.text) for j in found.judged)],
         sections=sections,
         footer=(
             f"stereomate {__version__} · {' '.join(sys.argv)} · {seconds:.0f} s · "
@@ -238,6 +281,13 @@ def _pairs(result: RunResult) -> Section:
     )
     headings = ("photograph", "photograph", "overlap", "base, m", "base/height", "azimuth, °", "model")
     return Section("Pairs", tables=(Table(headings, rows),))
+
+
+def _relative_orientation(result: RunResult) -> list[Section]:
+    """How strongly the pairs determine their relative orientation, from the height model alone."""
+    options = ProjectSectionOptions(least_contrast=0.0)
+    geometries = sections_of_coverage(result.project, result.coverage, options)
+    return [strength_section(geometries)] if geometries else []
 
 
 def _given(result: RunResult) -> Section:

@@ -1,0 +1,163 @@
+"""`report.json`: what the report of a run says, for programs; its form is `report/report.schema.json`."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from stereomate import __version__
+from stereomate.errors import FormatError
+from stereomate.project.accuracy_report import Judgement
+from stereomate.project.check_points import CheckPoints
+from stereomate.project.grid_effects import GridEffect
+from stereomate.project.run import ProductResult, RunResult
+from stereomate.raster.files import write_whole
+from stereomate.stereo.agreement import ParallaxStatistics
+
+RECORD_FORMAT: Final = 1
+
+
+def run_record(
+    result: RunResult,
+    checked: CheckPoints | None,
+    judged: tuple[Judgement, ...],
+    effects: tuple[GridEffect, ...],
+    made: Mapping[str, Any],
+    not_modelled: tuple[str, ...],
+) -> dict[str, Any]:
+    """The report as plain values.
+
+    Parameters
+    ----------
+    made : mapping
+        Command, seconds and peak memory: what differs between two runs of the same project.
+    """
+    project, coverage = result.project, result.coverage
+    return {
+        "format": RECORD_FORMAT,
+        "kind": "stereomate report",
+        "software": f"stereomate {__version__}",
+        "made": dict(made),
+        "key": result.key,
+        "project": project.name or project.path.stem,
+        "crs": project.frame.crs,
+        "heights": project.frame.heights.description,
+        "inputs": [{"role": i.role, "file": i.path.name, "sha256": i.digest} for i in project.inputs],
+        "assumed": list(project.notes),
+        "warnings": list(project.warnings),
+        "left_out": [{"photograph": p.name, "reason": str(p.error)} for p in project.problems],
+        "photographs": [
+            {
+                "name": f.name,
+                "gsd_m": f.gsd_m,
+                "height_above_ground_m": f.height_above_ground_m,
+                "tilt_deg": f.tilt_deg,
+                "covered": f.covered,
+            }
+            for f in coverage.known
+        ],
+        "pairs": [
+            {
+                "left": p.names[0],
+                "right": p.names[1],
+                "overlap": p.overlap,
+                "base_m": p.base_m,
+                "base_height": p.base_height,
+                "azimuth_deg": p.azimuth_deg,
+            }
+            for p in coverage.pairs
+        ],
+        "accuracy": {
+            "requirements": [j.as_record() for j in judged],
+            "check_points": None if checked is None else checked.as_record(),
+        },
+        "map_projection": [e.as_record() for e in effects],
+        "products": [_product(product) for product in result.products],
+        "not_modelled": list(not_modelled),
+    }
+
+
+def write_run_record(path: Path, record: Mapping[str, Any]) -> None:
+    """Write the record whole or not at all; NaN, which JSON does not know, becomes null."""
+    text = json.dumps(_finite(record), indent=1, ensure_ascii=False, allow_nan=False)
+    write_whole(path, [text.encode() + b"\n"])
+
+
+def read_run_record(path: Path) -> dict[str, Any]:
+    """Read a record of this form or an older one.
+
+    Raises
+    ------
+    FormatError
+        If it is no report, or was written by a newer stereomate.
+    """
+    try:
+        record = json.loads(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise FormatError(f"cannot be read as JSON: {error}", file=path) from error
+    if not isinstance(record, dict) or record.get("kind") != "stereomate report":
+        raise FormatError("must be a report of stereomate", file=path, field="kind")
+    version = record.get("format")
+    if not isinstance(version, int) or version < 1:
+        raise FormatError("must be a whole number from 1", file=path, field="format", value=version)
+    if version > RECORD_FORMAT:
+        raise FormatError(
+            f"is of form {version}; this stereomate reads form {RECORD_FORMAT} and older",
+            file=path,
+            field="format",
+            hint="install a newer stereomate",
+        )
+    return record
+
+
+def _product(made: ProductResult) -> dict[str, Any]:
+    job, files = made.product.job, made.product.files
+    record: dict[str, Any] = {
+        "name": job.name,
+        "ortho": files.ortho,
+        "mate": files.mate,
+        "size": list(job.grid.size),
+        "gsd": job.grid.gsd,
+        "rotation_deg": math.degrees(job.grid.rotation),
+        "hidden": job.options.hidden,
+        "resampling": job.options.resampling,
+        "law": None,
+        "agreement": None,
+        "sha256": dict(files.hashes),
+    }
+    if job.is_stereo:
+        law = job.law
+        record["law"] = {
+            "kind": law.kind,
+            "base_m": law.base_m,
+            "w0_m": law.w0_m,
+            "reference_m": law.reference_m,
+        }
+    if made.agreement is not None:
+        record["agreement"] = {
+            "ortho_ortho": _statistics(made.agreement.ortho_ortho),
+            "ortho_mate_minus_law": _statistics(made.agreement.ortho_mate),
+        }
+    return record
+
+
+def _statistics(s: ParallaxStatistics) -> dict[str, Any]:
+    return {
+        "matches": s.count,
+        "median_px": list(s.median_px),
+        "nmad_px": list(s.nmad_px),
+        "largest_px": list(s.largest_px),
+    }
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value.item() if hasattr(value, "item") else value
