@@ -2,15 +2,23 @@
 
 export class FileError extends Error {}
 
+// Files that were damaged or missing: asked for anew, whatever the browser has kept of them.
+const bad = new Set();
+
+function failure(path, text) {
+  bad.add(path);
+  return new FileError(`${path}: ${text}`);
+}
+
 async function get(path, version, signal) {
   let response;
   try {
-    response = await fetch(version ? `${path}?v=${version}` : path, { signal });
+    response = await fetch(version ? `${path}?v=${version}` : path, { signal, cache: bad.has(path) ? 'reload' : 'default' });
   } catch (error) {
     if (error.name === 'AbortError') throw error;
-    throw new FileError(`${path}: no answer`);
+    throw failure(path, 'no answer');
   }
-  if (!response.ok) throw new FileError(`${path}: ${response.status}`);
+  if (!response.ok) throw failure(path, response.status);
   return response;
 }
 
@@ -24,7 +32,7 @@ async function inflated(path, version) {
     const stream = response.body.pipeThrough(new DecompressionStream('deflate'));
     return await new Response(stream).arrayBuffer();
   } catch {
-    throw new FileError(`${path}: damaged`);
+    throw failure(path, 'damaged');
   }
 }
 
@@ -58,8 +66,10 @@ export async function fetchBitmap(path, version, signal) {
   const response = await get(path, version, signal);
   const blob = await response.blob();
   try {
-    return await createImageBitmap(blob, { colorSpaceConversion: 'none', premultiplyAlpha: 'none' });
+    const bitmap = await createImageBitmap(blob, { colorSpaceConversion: 'none', premultiplyAlpha: 'none' });
+    bad.delete(path);
+    return bitmap;
   } catch {
-    throw new FileError(`${path}: damaged`);
+    throw failure(path, 'damaged');
   }
 }

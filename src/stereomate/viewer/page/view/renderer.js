@@ -256,10 +256,11 @@ export class Renderer {
       const { cols, rows, step } = this.product.layers;
       gl.uniform4f(used.uTexture, 0, 0, 1, 1);
       gl.uniform4f(used.uRectangle, 0, 0, cols * step, rows * step);
-      gl.bindVertexArray(this.large().array);
+      const sheet = ground[1] === 0 ? this.quad : this.large();
+      gl.bindVertexArray(sheet.array);
       for (const layer of this.layers) {
         gl.bindTexture(gl.TEXTURE_2D, layer.texture);
-        gl.drawElements(gl.TRIANGLES, this.large().count, gl.UNSIGNED_SHORT, 0);
+        gl.drawElements(gl.TRIANGLES, sheet.count, gl.UNSIGNED_SHORT, 0);
       }
     }
     this.#drawLines(view, eye, width, height, image);
@@ -268,7 +269,7 @@ export class Renderer {
 
   // A fine mesh for layers that lie on the ground of the whole product.
   large() {
-    this.largeMesh ??= mesh(this.gl, 160);
+    this.largeMesh ??= mesh(this.gl, 128);
     return this.largeMesh;
   }
 
