@@ -1,0 +1,162 @@
+"""The datum of a network: what the observations leave open, held by minimal and then by inner constraints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr
+
+from stereomate.block.network import Network
+from stereomate.block.unknowns import State
+from stereomate.geometry.rotations import rotation_from_vector, skew
+
+Array = NDArray[np.float64]
+
+# A direction of the similarity that moves no datum observation, but for this part of what others do, is open.
+_OPEN: Final = 1e-9
+_NAMES: Final = ("shift x", "shift y", "shift z", "turn x", "turn y", "turn z", "scale")
+
+
+@dataclass(frozen=True, eq=False)
+class Defect:
+    """What a network leaves open of a similarity.
+
+    Attributes
+    ----------
+    directions : ndarray, shape (7, d)
+        Combinations of shift (in units of `extent`), turn and scale about `origin` that no observation sees.
+    origin : ndarray, shape (3,)
+    extent : float
+    """
+
+    directions: Array
+    origin: Array
+    extent: float
+
+    @property
+    def size(self) -> int:
+        """Number of open directions, 0 to 7."""
+        return int(self.directions.shape[1])
+
+    def names(self) -> tuple[str, ...]:
+        """The parameters that take part in what is open."""
+        part = np.abs(self.directions).max(axis=1, initial=0.0)
+        return tuple(name for name, value in zip(_NAMES, part, strict=True) if value > 0.05)
+
+    def moves(self, xyz: Array) -> Array:
+        """Motion of places by the open directions, shape (n, 3, d)."""
+        return np.asarray(_place_moves(xyz - self.origin, self.extent) @ self.directions)
+
+    def turns(self) -> Array:
+        """Left rotation of every photograph by the open directions, shape (3, d)."""
+        return self.directions[3:6]
+
+
+def find_defect(network: Network) -> Defect:
+    """What control, positions, attitudes and held unknowns leave open; shared unknowns may open more."""
+    centres = network.photographs.centres
+    origin = centres.mean(axis=0)
+    extent = float(
+        max(
+            np.abs(centres - origin).max(initial=0.0),
+            np.abs(network.points.xyz - origin).max(initial=0.0),
+            1e-9,
+        )
+    )
+    rows = [np.zeros((0, 7))]
+    control, positions, attitudes = network.control, network.positions, network.attitudes
+    if control is not None:
+        assert control.check is not None
+        known = np.isfinite(control.sigma) & ~control.check[:, None]
+        rows.append(_place_moves(network.points.xyz[control.point] - origin, extent)[known])
+    if positions is not None:
+        moves = _place_moves(centres[positions.photo] - origin, extent)
+        moves -= _absorbed(network, moves)
+        rows.append(moves[np.isfinite(positions.sigma)])
+    turn = np.concatenate([np.zeros((3, 3)), extent * np.eye(3), np.zeros((3, 1))], axis=1)
+    if attitudes is not None:
+        rotations = np.swapaxes(network.photographs.rotations[attitudes.photo], 1, 2) @ turn
+        if attitudes.boresight and not np.isfinite(attitudes.boresight_sigma):
+            rotations = rotations - rotations.mean(axis=0)
+        rows.append(rotations.reshape(-1, 7))
+    if network.photographs.fixed is not None:
+        fixed = network.photographs.fixed
+        rows.append(_place_moves(centres - origin, extent)[fixed[:, :3]])
+        rows.append(np.broadcast_to(turn, (len(fixed), 3, 7))[fixed[:, 3:]])
+    design = np.concatenate(rows) / extent
+    values, vectors = np.linalg.eigh(design.T @ design)
+    open_ones = values < _OPEN * max(float(values.max(initial=0.0)), 1e-30)
+    if not len(design):
+        open_ones[:] = True
+    return Defect(vectors[:, open_ones], origin, extent)
+
+
+def _place_moves(offset: Array, extent: float) -> Array:
+    """Motion of places by a unit of each of the seven parameters, shape (n, 3, 7); metres."""
+    result = np.zeros((len(offset), 3, 7))
+    result[:, :, :3] = extent * np.eye(3)
+    result[:, :, 3:6] = -skew(offset)
+    result[:, :, 6] = offset
+    return result
+
+
+def _absorbed(network: Network, moves: Array) -> Array:
+    """Part of the positions' motion that unknown shifts and drifts of strips take away."""
+    positions = network.positions
+    assert positions is not None
+    assert positions.strip is not None
+    taken = np.zeros_like(moves)
+    for strip in np.unique(positions.strip[positions.strip >= 0]):
+        rows = np.flatnonzero(positions.strip == strip)
+        columns = []
+        if positions.shift and not np.isfinite(positions.shift_sigma):
+            columns.append(np.ones(len(rows)))
+        if positions.drift:
+            time = np.arange(len(rows), dtype=np.float64) if positions.time is None else positions.time[rows]
+            columns.append(time - time.mean())
+        if columns:
+            basis = np.stack(columns, axis=1)
+            flat = moves[rows].reshape(len(rows), -1)
+            taken[rows] = (basis @ np.linalg.lstsq(basis, flat, rcond=None)[0]).reshape(moves[rows].shape)
+    return taken
+
+
+def held(network: Network, defect: Defect) -> Network:
+    """The network with as many unknowns of photographs held as directions are open (minimal constraints)."""
+    photographs = network.photographs
+    n = len(photographs.names)
+    fixed = np.zeros((n, 6), np.bool_) if photographs.fixed is None else photographs.fixed.copy()
+    moves = np.concatenate(
+        [
+            defect.moves(photographs.centres) / defect.extent,
+            np.broadcast_to(defect.turns(), (n, 3, defect.size)),
+        ],
+        axis=1,
+    ).reshape(6 * n, defect.size)
+    moves = np.where(fixed.reshape(-1, 1), 0.0, moves)
+    _, _, pivots = qr(moves.T, mode="economic", pivoting=True)
+    fixed.reshape(-1)[pivots[: defect.size]] = True
+    return replace(network, photographs=replace(photographs, fixed=fixed))
+
+
+def onto_start(state: State, start: State, defect: Defect, determined: NDArray[np.bool_]) -> State:
+    """The state moved along the open directions to where centres and points are nearest to their start."""
+    here = np.concatenate([state.centres, state.points[determined]])
+    there = np.concatenate([start.centres, start.points[determined]])
+    rotations, points = state.rotations, state.points
+    for _ in range(20):
+        moves = defect.moves(here).reshape(-1, defect.size)
+        t = defect.directions @ np.linalg.lstsq(moves, (there - here).reshape(-1), rcond=None)[0]
+        turn, scale = rotation_from_vector(t[3:6]), float(np.exp(t[6]))
+        shift = defect.extent * t[:3]
+
+        def move(xyz: Array, turn: Array = turn, scale: float = scale, shift: Array = shift) -> Array:
+            return np.asarray(defect.origin + shift + scale * (xyz - defect.origin) @ turn.T)
+
+        here, points, rotations = move(here), move(points), turn @ rotations
+        if float(np.abs(t).max()) < 1e-14:
+            break
+    return replace(state, centres=here[: len(state.centres)], rotations=rotations, points=points)

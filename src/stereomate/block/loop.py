@@ -1,0 +1,247 @@
+"""The refinement loop of a block: Gauss-Newton, damped only after a step that did not lower the cost."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereomate.block.datum import Defect, find_defect, held, onto_start
+from stereomate.block.equations import Equations, build, camera_arrays, factor, solve
+from stereomate.block.kernels.projection import residuals as kernel_residuals
+from stereomate.block.network import Network
+from stereomate.block.options import BlockOptions
+from stereomate.block.prepared import Prepared, fixed_axes_applied, prepare
+from stereomate.block.unknowns import State, moved, start_of
+from stereomate.errors import InputError, NotDeterminedError
+from stereomate.tiles.threads import limit_library_threads
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Progress = Callable[[int, float], None]
+
+_FIRST_DAMPING: Final = 1e-4
+_LARGEST_DAMPING: Final = 1e8
+_PHOTO_UNKNOWNS: Final = ("X0", "Y0", "Z0", "rotation x", "rotation y", "rotation z")
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Where the loop ended.
+
+    Attributes
+    ----------
+    prepared : Prepared
+    start, state : State
+    cost : float
+        Weighted sum of squares (or of losses).
+    iterations, damped : int
+        All, and those that needed damping.
+    converged : bool
+    defect : Defect
+        What the observations leave open of the datum.
+    notes : tuple of str
+    """
+
+    prepared: Prepared
+    start: State
+    state: State
+    cost: float
+    iterations: int
+    damped: int
+    converged: bool
+    defect: Defect
+    notes: tuple[str, ...]
+
+    @property
+    def used(self) -> Mask:
+        """Image observations that took part, in the order of the network."""
+        used = np.zeros(len(self.prepared.order), np.bool_)
+        used[self.prepared.order] = self.prepared.weight[:, 0] > 0.0
+        return used
+
+    @property
+    def determined(self) -> Mask:
+        """Points that observations that took part determine."""
+        rays = np.bincount(
+            self.prepared.point[self.prepared.weight[:, 0] > 0.0], minlength=len(self.state.points)
+        )
+        return np.asarray(rays > 0)
+
+
+def image_residuals(prepared: Prepared, state: State) -> Array:
+    """Observed minus computed pixels (m, 2) in the order of the network; NaN where none can be computed."""
+    cameras, network = camera_arrays(prepared, state), prepared.network
+    out = np.empty((len(network.image.photo), 2))
+    kernel_residuals(
+        network.image.photo, network.image.point, network.image.xy, state.points, state.centres,
+        state.rotations, network.photographs.camera, cameras.model, cameras.packed, out,
+    )  # fmt: skip
+    return out
+
+
+def run_loop(
+    network: Network,
+    options: BlockOptions,
+    used: Mask | None = None,
+    width: float = math.inf,
+    progress: Progress | None = None,
+    state: State | None = None,
+) -> Solution:
+    """Adjust once with given observations.
+
+    Parameters
+    ----------
+    network : Network
+    options : BlockOptions
+    used : ndarray of bool, shape (m,), optional
+        Image observations that take part.
+    width : float
+        Of Huber's loss on image points; infinite for none.
+    progress : callable, optional
+        Gets the number of the iteration and the cost.
+    state : State, optional
+        Where to begin, if not at the start of the network; priors stay those of the network.
+
+    Raises
+    ------
+    NotDeterminedError
+        If an unknown is not determined; the message names it.
+    InputError
+        If the network has a datum defect and ``options.free_network`` is ``none``.
+    """
+    limit_library_threads()
+    defect = find_defect(network)
+    notes: list[str] = []
+    if defect.size:
+        if options.free_network == "none":
+            raise InputError(
+                f"must determine the datum; open: {', '.join(defect.names())}",
+                field="network",
+                hint="control points or positions are missing; free_network allows inner constraints",
+            )
+        notes.append(f"datum by inner constraints: open were {', '.join(defect.names())}")
+        network = held(network, defect)
+    prepared = prepare(network, used)
+    start = start_of(network, prepared.layout)
+    first = state or start
+    first = replace(first, points=fixed_axes_applied(prepared, first.points))
+    prepared, left_out = _computable(prepared, first)
+    if left_out:
+        notes.append(f"{left_out} image observations left out: the start puts their points behind the camera")
+    loop = _Loop(prepared, start, first, options, width, progress)
+    loop.run()
+    final = loop.state
+    if defect.size:
+        final = onto_start(final, start, defect, np.bincount(prepared.point, minlength=len(final.points)) > 0)
+    return Solution(
+        loop.prepared, start, final, loop.cost, loop.iterations, loop.damped, loop.converged, defect,
+        (*notes, *loop.notes),
+    )  # fmt: skip
+
+
+def _computable(prepared: Prepared, state: State) -> tuple[Prepared, int]:
+    """Without the observations whose points lie behind their camera at the start."""
+    residual = image_residuals(prepared, state)[prepared.order]
+    bad = ~np.isfinite(residual[:, 0]) & (prepared.weight[:, 0] > 0.0)
+    if not bad.any():
+        return prepared, 0
+    used = np.zeros(len(prepared.order), np.bool_)
+    used[prepared.order] = (prepared.weight[:, 0] > 0.0) & ~bad
+    return prepare(prepared.network, used), int(np.count_nonzero(bad))
+
+
+class _Loop:
+    """The loop's moving parts."""
+
+    def __init__(
+        self,
+        prepared: Prepared,
+        start: State,
+        state: State,
+        options: BlockOptions,
+        width: float,
+        progress: Progress | None,
+    ) -> None:
+        self.prepared, self.start, self.state = prepared, start, state
+        self.options, self.width, self.progress = options, width, progress
+        self.cost = math.inf
+        self.damping = 0.0
+        self.iterations = self.damped = 0
+        self.converged = False
+        self.notes: list[str] = []
+
+    def run(self) -> None:
+        """Iterate to the end; what could not be reached is noted."""
+        previous: State | None = None
+        last_promised = math.inf
+        while self.iterations < self.options.max_iterations:
+            equations = self._built()
+            worse = not equations.cost < self.cost or equations.failed > 0
+            if previous is not None and worse and not self._is_rounding(last_promised):
+                self.state = previous
+                self.damping = max(10.0 * self.damping, _FIRST_DAMPING)
+                if self.damping > _LARGEST_DAMPING:
+                    break
+                self.damped += 1
+                self.iterations += 1
+                equations = self._built()
+            elif previous is not None:
+                self.damping = 0.0 if self.damping <= _FIRST_DAMPING else self.damping / 10.0
+            self.cost = equations.cost
+            self.iterations += 1
+            if self.progress is not None:
+                self.progress(self.iterations, self.cost)
+            factored = factor(self.prepared, equations)
+            if factored.singular >= 0:
+                if self.damping > 0.0 or self.iterations > 1 or self.damping > 1e-2:
+                    raise NotDeterminedError(self._name(factored.singular) + " is not determined")
+                raise NotDeterminedError(self._name(factored.singular) + " is not determined")
+            step = solve(self.prepared, equations, factored, self.state, self.width)
+            previous, last_promised = self.state, step.promised
+            self.state = moved(self.state, self.prepared.layout, step.photos, step.points, step.shared)
+            small = step.promised <= self.options.relative_tolerance * max(self.cost, 1e-30)
+            if small and self.damping == 0.0:
+                self.converged = True
+                break
+        if self.converged:
+            return
+        self.notes.append(f"not converged after {self.iterations} iterations")
+
+    def _is_rounding(self, promised: float) -> bool:
+        """Whether a cost that did not fall is one of rounding: the step promised next to nothing."""
+        return promised <= 1e-9 * self.cost
+
+    def _built(self) -> Equations:
+        equations = build(self.prepared, self.state, self.start, self.width, self.damping)
+        if equations.undetermined:
+            weak = (equations.v_inverse[:, 0] == 0.0) & (
+                np.bincount(
+                    self.prepared.point[self.prepared.weight[:, 0] > 0.0], minlength=len(self.state.points)
+                )
+                > 0
+            )
+            if weak.any():
+                # Parallel rays: such a point says nothing, and would be taken as known.
+                used = np.zeros(len(self.prepared.order), np.bool_)
+                used[self.prepared.order] = (self.prepared.weight[:, 0] > 0.0) & ~weak[self.prepared.point]
+                self.prepared = prepare(self.prepared.network, used)
+                names = [self.prepared.network.points.names[j] for j in np.flatnonzero(weak)[:5]]
+                self.notes.append(
+                    f"{int(weak.sum())} points left out, their rays are parallel: {', '.join(names)}"
+                )
+                self.cost = math.inf
+                return self._built()
+        return equations
+
+    def _name(self, index: int) -> str:
+        """What an index of the normal equations stands for."""
+        names = self.prepared.network.photographs.names
+        if index >= 6 * len(names):
+            return self.prepared.layout.names[index - 6 * len(names)]
+        photo = int(np.flatnonzero(self.prepared.place == index // 6)[0])
+        return f"{_PHOTO_UNKNOWNS[index % 6]} of photograph {names[photo]}"

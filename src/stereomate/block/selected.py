@@ -1,0 +1,82 @@
+"""Selected inversion: the entries of an inverse that lie within the band of its Cholesky factor.
+
+Takahashi's recursion by blocks of columns, from the last to the first: with K the rows below block J,
+Y = L_KJ L_JJ⁻¹, Z_KJ = -Z_KK Y, Z_JJ = (L_JJ L_JJᵀ)⁻¹ + Yᵀ Z_KK Y. All entries it needs lie within the band.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.lib.stride_tricks import as_strided
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dpotri, dtrtri, dtrtrs
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_BLOCK: Final = 48
+
+
+def _rows(band: Array, first: int, rows: int, columns: int) -> Array:
+    """View of stored columns `first` ... as rows of the upper part: [r, c] is entry (first + c, first + r).
+
+    Right only where ``r <= c < r + width``.
+    """
+    width = band.shape[1]
+    item = band.itemsize
+    flat = band.reshape(-1)[first * width :]
+    return as_strided(flat, (rows, columns), ((width - 1) * item, item))
+
+
+def _within(rows: int, columns: int, width: int) -> Mask:
+    distance = np.arange(columns) - np.arange(rows)[:, None]
+    return np.asarray((distance >= 0) & (distance < width))
+
+
+def selected_inverse(factor: Array, skew: int) -> Array:
+    """Inverse within the band of a factor stored as in `kernels.normal`, stored in the same way."""
+    if skew == 0:
+        inverse, _ = dpotri(factor.T, lower=1)
+        return np.ascontiguousarray(inverse.T)
+    n, width = factor.shape
+    inverse = np.zeros_like(factor)
+    block = min(n, max(_BLOCK, width // 6))
+    first = ((n - 1) // block) * block
+    while first >= 0:
+        size = min(block, n - first)
+        below = min(n - first - size, width - 1)
+        inside = _within(size, size + below, width)
+        part = np.where(inside, _rows(factor, first, size, size + below), 0.0)
+        upper = part[:, :size]
+        root, _ = dtrtri(upper, lower=0)
+        target = np.empty((size, size + below))
+        corner = root @ root.T
+        if below:
+            y, _ = dtrtrs(upper, part[:, size:], lower=0)
+            window = np.triu(_rows(inverse, first + size, below, below))
+            window += np.triu(window, 1).T
+            target[:, size:] = -(y @ window)
+            corner -= target[:, size:] @ y.T
+        target[:, :size] = corner
+        np.copyto(_rows(inverse, first, size, size + below), target, where=inside)
+        first -= block
+    return inverse
+
+
+def add_product(inverse: Array, skew: int, left: Array, right: Array) -> None:
+    """Add ``left rightᵀ`` (symmetric, both (n, q)) within the band, in place."""
+    n, width = inverse.shape
+    if left.shape[1] == 0:
+        return
+    if skew == 0:
+        inverse += right @ left.T
+        return
+    for first in range(0, n, _BLOCK):
+        size = min(_BLOCK, n - first)
+        reach = min(n - first, size + width - 1)
+        inside = _within(size, reach, width)
+        product = left[first : first + size] @ right[first : first + reach].T
+        view = _rows(inverse, first, size, reach)
+        np.copyto(view, view + product, where=inside)

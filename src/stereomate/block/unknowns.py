@@ -1,0 +1,229 @@
+"""The unknowns that photographs share (the border of the normal equations), and the state of the loop."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereomate.block.network import PIXEL_PARAMETERS, BlockCamera, Network
+from stereomate.camera.kernels import BROWN_INVERSE, LENGTH
+from stereomate.camera.kernels.layout import R2_MAX
+from stereomate.camera.model import Camera
+from stereomate.camera.packing import pack, pack_parameters
+from stereomate.geometry.rotations import rotation_from_vector
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+_AXES: Final = ("x", "y", "z")
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Where the shared unknowns stand in the border.
+
+    Attributes
+    ----------
+    names : tuple of str (q)
+    first, free : ndarray of int, shape (cameras,)
+        First column and number of the unknowns of each camera.
+    chosen : tuple of ndarray of int
+        For each camera, which of its values (`camera_values`) are unknown.
+    shift, drift : ndarray of int, shape (strips,)
+        First of three columns of each strip, -1 for none; the strip itself is in `strips`.
+    strips : ndarray of int
+    boresight : int
+        First of three columns, -1 for none.
+    prior_sigma : ndarray, shape (q,)
+        Of each unknown, infinite for none.
+    """
+
+    names: tuple[str, ...]
+    first: Integers
+    free: Integers
+    chosen: tuple[Integers, ...]
+    strips: Integers
+    shift: Integers
+    drift: Integers
+    boresight: int
+    prior_sigma: Array
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Values of all unknowns at one moment.
+
+    Attributes
+    ----------
+    centres, rotations, points
+        As in the network.
+    cameras : tuple of ndarray
+        `camera_values` of each.
+    shared : ndarray, shape (q,)
+        Shifts and drifts at their columns (the rest is not used).
+    boresight : ndarray, shape (3, 3)
+    """
+
+    centres: Array
+    rotations: Array
+    points: Array
+    cameras: tuple[Array, ...]
+    shared: Array
+    boresight: Array
+
+
+def camera_values(camera: Camera) -> Array:
+    """Interior parameters followed by `PIXEL_PARAMETERS`, which are zero."""
+    return np.array([*camera.parameters, *(0.0,) * len(PIXEL_PARAMETERS)])
+
+
+def camera_from_values(camera: Camera, values: Array) -> Camera:
+    """The camera with other values; aspect and shear go into `pixel_from_photo`."""
+    n = len(PIXEL_PARAMETERS)
+    moved = camera.with_parameters(values[:-n])
+    if not values[-n:].any():
+        return moved
+    (a, b, c), (d, e, f) = _affine(camera, values).tolist()
+    return replace(moved, pixel_from_photo=((a, b, c), (d, e, f)))
+
+
+def _affine(camera: Camera, values: Any) -> Any:
+    aspect, shear = values[-2:]
+    affine = np.array(camera.pixel_from_photo, dtype=np.asarray(values).dtype)
+    affine[:, :2] = affine[:, :2] @ np.array([[1.0 + aspect, shear], [0.0, 1.0]])
+    return affine
+
+
+def packed_camera(camera: Camera, values: Array, chosen: Integers) -> tuple[Array, Array]:
+    """Parameter array of the kernels (LENGTH,) and its derivatives (LENGTH, chosen), by complex steps."""
+    inner = values[:-2]
+    if camera.jacobian_model == BROWN_INVERSE:
+        # The inverse needs its bracket.
+        moved = camera_from_values(camera, values)
+        packed = np.array(pack(moved.size_px, moved.parameters, moved.pixel_from_photo, moved.distortion)[1])
+    else:
+        packed = np.array(pack_parameters(inner, _affine(camera, values), camera.distortion))
+        packed[R2_MAX] = math.inf
+    jacobian = np.empty((LENGTH, len(chosen)))
+    for column, index in enumerate(chosen):
+        stepped = values.astype(np.complex128)
+        stepped[index] += 1e-30j
+        by_step = pack_parameters(stepped[:-2], _affine(camera, stepped), camera.distortion)
+        jacobian[:, column] = np.imag(by_step) / 1e-30
+    return packed, jacobian
+
+
+def layout_of(network: Network) -> Layout:
+    """Columns of the shared unknowns: cameras, then shifts and drifts of strips, then the boresight."""
+    names: list[str] = []
+    sigma: list[float] = []
+    first, chosen = [], []
+    for entry in network.cameras:
+        first.append(len(names))
+        numbers = _chosen(entry)
+        chosen.append(numbers)
+        labels = (*entry.camera.parameter_names, *PIXEL_PARAMETERS)
+        names += [f"{entry.camera.name}: {labels[i]}" for i in numbers]
+        sigma += [float(entry.free[labels[i]]) for i in numbers]
+    positions = network.positions
+    strips = np.empty(0, np.int64)
+    if positions is not None and positions.strip is not None and (positions.shift or positions.drift):
+        strips = np.unique(positions.strip[positions.strip >= 0])
+    shift, drift = np.full(len(strips), -1), np.full(len(strips), -1)
+    if positions is not None:
+        for what, columns in (("shift", shift), ("drift", drift)):
+            if not getattr(positions, what):
+                continue
+            for i, strip in enumerate(strips.tolist()):
+                columns[i] = len(names)
+                names += [f"strip {strip}: {what} {axis}" for axis in _AXES]
+                sigma += [positions.shift_sigma if what == "shift" else math.inf] * 3
+    boresight = -1
+    if network.attitudes is not None and network.attitudes.boresight:
+        boresight = len(names)
+        names += [f"boresight {axis}" for axis in _AXES]
+        sigma += [network.attitudes.boresight_sigma] * 3
+    return Layout(
+        tuple(names),
+        np.array(first, dtype=np.int64),
+        np.array([len(c) for c in chosen], dtype=np.int64),
+        tuple(chosen),
+        strips,
+        shift.astype(np.int64),
+        drift.astype(np.int64),
+        boresight,
+        np.array(sigma, dtype=np.float64),
+    )
+
+
+def _chosen(entry: BlockCamera) -> Integers:
+    labels = (*entry.camera.parameter_names, *PIXEL_PARAMETERS)
+    return np.array([i for i, label in enumerate(labels) if label in entry.free], dtype=np.int64)
+
+
+def start_of(network: Network, layout: Layout) -> State:
+    """The state that the network gives."""
+    return State(
+        network.photographs.centres,
+        network.photographs.rotations,
+        network.points.xyz,
+        tuple(camera_values(entry.camera) for entry in network.cameras),
+        np.zeros(len(layout.names)),
+        np.eye(3),
+    )
+
+
+def moved(state: State, layout: Layout, photos: Array, points: Array, shared: Array) -> State:
+    """State after corrections: photographs (n, 6), points (p, 3), shared unknowns (q,)."""
+    cameras = []
+    for values, first, chosen in zip(state.cameras, layout.first.tolist(), layout.chosen, strict=True):
+        values = values.copy()
+        values[chosen] += shared[first : first + len(chosen)]
+        cameras.append(values)
+    at = layout.boresight
+    boresight = state.boresight
+    if at >= 0:
+        boresight = boresight @ rotation_from_vector(shared[at : at + 3])
+    return State(
+        state.centres + photos[:, :3],
+        rotation_from_vector(photos[:, 3:]) @ state.rotations,
+        state.points + points,
+        tuple(cameras),
+        state.shared + shared,
+        boresight,
+    )
+
+
+def prior_residuals(state: State, start: State, layout: Layout) -> Array:
+    """Observed minus computed of the priors of the shared unknowns, shape (q,)."""
+    residual = -state.shared
+    for now, then, first, chosen in zip(
+        state.cameras, start.cameras, layout.first.tolist(), layout.chosen, strict=True
+    ):
+        residual[first : first + len(chosen)] = then[chosen] - now[chosen]
+    at = layout.boresight
+    if at >= 0:
+        residual[at : at + 3] = -vector_from_rotation(state.boresight)
+    return residual
+
+
+def vector_from_rotation(rotation: Array) -> Array:
+    """Rotation vectors (..., 3) of rotations (..., 3, 3) by less than 180°: the inverse of Rodrigues."""
+    axis = 0.5 * np.stack(
+        [
+            rotation[..., 2, 1] - rotation[..., 1, 2],
+            rotation[..., 0, 2] - rotation[..., 2, 0],
+            rotation[..., 1, 0] - rotation[..., 0, 1],
+        ],
+        axis=-1,
+    )
+    sine = np.linalg.norm(axis, axis=-1)
+    cosine = 0.5 * (np.trace(rotation, axis1=-2, axis2=-1) - 1.0)
+    angle = np.arctan2(sine, cosine)
+    factor = np.where(sine > 1e-9, angle / np.where(sine > 1e-9, sine, 1.0), 1.0)
+    result: Array = axis * factor[..., None]
+    return result
