@@ -25,7 +25,7 @@ Ints = NDArray[np.int64]
 Labels = NDArray[np.int32]
 
 # A junction moves by less than this share of what a seam may move.
-_REACH_SHARE: Final = 0.6
+_REACH_SHARE: Final = 1.0
 
 
 @dataclass(frozen=True)
