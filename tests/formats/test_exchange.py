@@ -12,7 +12,7 @@ import pytest
 
 from stereomate.camera.distortion import BrownDistortion
 from stereomate.camera.model import Camera
-from stereomate.errors import FormatError, HeightSystemError, OrientationError
+from stereomate.errors import CrsError, FormatError, HeightSystemError, OrientationError
 from stereomate.formats.declared import Declared
 from stereomate.formats.exchange import FORMATS, convert_orientation
 from stereomate.formats.orientation_set import (
@@ -458,3 +458,30 @@ def test_cut_off_binary_model(tmp_path):
         (tmp_path / "images.bin").write_bytes(whole[:size])
         with pytest.raises(FormatError, match="cut off"):
             FORMATS["colmap-binary"].read(tmp_path, DECLARED["colmap-binary"])
+
+
+def test_datums_and_places_of_a_conversion(tmp_path):
+    """The transformation between datums is named with its accuracy; places outside a map are refused."""
+    ellipsoidal = HeightSystem.ellipsoidal()
+    place = MapFrame("EPSG:2056", ellipsoidal)
+    centre = np.array([[2_600_000.0, 1_200_000.0, 900.0]])
+    swiss = OrientationSet(("a",), centre, np.eye(3)[None], place, "grid")
+    moved = converted(swiss, MapFrame("EPSG:25832", ellipsoidal))
+    assert any(note.startswith("datums differ: transformed by CH1903+ to ETRS89") for note in moved.notes)
+    assert any("accurate to 0.1 m" in note for note in moved.notes)
+    FORMATS["table"].write(tmp_path / "a.csv", swiss, Declared())
+    declared = Declared(crs="EPSG:2056", heights=ellipsoidal, axes="grid", unit="deg")
+    with pytest.raises(CrsError, match=r"out\.csv: crs: 1 of 1 projection centres lie outside"):
+        convert_orientation(
+            tmp_path / "a.csv",
+            tmp_path / "out.csv",
+            "table",
+            "table",
+            declared,
+            Declared(crs="EPSG:25835", heights=ellipsoidal),
+        )
+    assert not (tmp_path / "out.csv").exists()
+    swapped = replace(swiss, positions=swiss.positions[:, [1, 0, 2]])
+    FORMATS["table"].write(tmp_path / "a.csv", swapped, Declared())
+    with pytest.raises(CrsError, match=r"a\.csv.*they would lie inside with x and y exchanged"):
+        convert_orientation(tmp_path / "a.csv", tmp_path / "out.csv", "table", "table", declared)

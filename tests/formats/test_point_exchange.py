@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stereomate.errors import FormatError
+from stereomate.errors import CrsError, FormatError
 from stereomate.formats import points_text
 from stereomate.formats.orientation_set import GeocentricFrame
 from stereomate.formats.point_exchange import convert_points
@@ -222,3 +222,16 @@ def test_malformed_points(tmp_path, name, text, message):
     with pytest.raises(FormatError, match=message):
         convert_points(path, out, MOVE)
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_points_that_lie_nowhere_in_the_map(tmp_path):
+    """Local coordinates declared as a map's, and the transformation of datums that was used."""
+    (tmp_path / "a.csv").write_text("x,y,z\n1,2,3\n")
+    ellipsoidal = HeightSystem.ellipsoidal()
+    swiss, etrs = MapFrame("EPSG:2056", ellipsoidal), MapFrame("EPSG:25832", ellipsoidal)
+    with pytest.raises(CrsError, match="1 of 1 points lie outside the area of CH1903"):
+        convert_points(tmp_path / "a.csv", tmp_path / "b.csv", PointMove(swiss, etrs))
+    assert not (tmp_path / "b.csv").exists()
+    (tmp_path / "a.csv").write_text("x,y,z\n2600000,1200000,500\n")
+    moved = convert_points(tmp_path / "a.csv", tmp_path / "b.csv", PointMove(swiss, etrs))
+    assert any("CH1903+ to ETRS89" in note and "0.1 m" in note for note in moved.notes)

@@ -46,6 +46,7 @@ from stereomate.formats.patb import read_patb, write_patb
 from stereomate.formats.pix4d import read_pix4d, write_pix4d
 from stereomate.formats.tables import read_ign_opk, read_table, write_ign_opk, write_table
 from stereomate.frames.attitude import AttitudeAxes
+from stereomate.frames.checks import check_coordinates
 from stereomate.frames.mapframe import MapFrame
 
 Reader = Callable[[Path, Declared], OrientationSet]
@@ -170,15 +171,22 @@ def convert_orientation(
     if writing.write is None:
         raise FormatError("can only be read", field="--to", value=target_format)
     orientations = reading.read(Path(source), declared)
+    _check_place(orientations, source)
     if grid_reference_heights[0] is not None:
         orientations = space_from_grid(orientations, grid_reference_heights[0])
     place, axes = _target(orientations, writing, wanted, Path(target))
     result = converted(orientations, place, axes)
+    _check_place(result, target)
     if grid_reference_heights[1] is not None:
         result = grid_from_space(result, grid_reference_heights[1])
     said = writing.write(Path(target), result, wanted)
     notes = (*result.notes, *(f"{Path(target).name}: {note}" for note in said))
     return Conversion(result, notes)
+
+
+def _check_place(orientations: OrientationSet, path: str | Path) -> None:
+    if isinstance(orientations.place, MapFrame):
+        check_coordinates(orientations.place, orientations.positions, "projection centres", path)
 
 
 def _target(

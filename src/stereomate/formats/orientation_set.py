@@ -18,7 +18,7 @@ from stereomate.camera.model import Camera
 from stereomate.errors import CrsError, HeightSystemError, OrientationError
 from stereomate.frames.adjusted import grid_from_space_centres, space_from_grid_centres
 from stereomate.frames.attitude import AttitudeAxes, rotation_tangent_from_axes
-from stereomate.frames.crs import Geodetic, datum_note, geodetic_of, same_datum
+from stereomate.frames.crs import Geodetic, datum_note, datum_operation, geodetic_of, same_datum
 from stereomate.frames.factors import grid_factors_geodetic
 from stereomate.frames.heights import HeightSystem
 from stereomate.frames.mapframe import MapFrame
@@ -183,7 +183,8 @@ def converted(source: OrientationSet, place: Place, axes: AttitudeAxes | None = 
         turns = rotations_between(source.place, source.axes, place, axes, source.positions)
         rotations = turns @ source.rotations
     result = replace(source, positions=positions, rotations=rotations, place=place, axes=axes)
-    return result.with_notes(*notes, *_scale_notes(source, place))
+    datums = datum_words(source.place, place, source.positions[0])
+    return result.with_notes(*notes, *datums, *_scale_notes(source, place))
 
 
 def positions_in(source: Place, target: Place, points: ArrayLike) -> tuple[Array, tuple[str, ...]]:
@@ -210,6 +211,18 @@ def positions_in(source: Place, target: Place, points: ArrayLike) -> tuple[Array
     # Any tangent frame on the target's datum serves as a stepping stone.
     step = TangentFrame.at_geodetic(target.geodetic, 0.0, 0.0, 0.0)
     return step.geocentric_from_tangent(tangent_from_map(step, geodetic, here)), notes
+
+
+def datum_words(source: Place, target: Place, point: ArrayLike) -> tuple[str, ...]:
+    """Which transformation leads from one datum to the other at a point (3,) of the source; empty if none."""
+    plain = _ellipsoidal(source)
+    lon, lat, _ = positions_in(plain, _geodetic_map(source), np.asarray(point, dtype=np.float64)[None])[0][0]
+    used = datum_operation(datum_of(source), datum_of(target), float(lon), float(lat))
+    if used is None:
+        return ()
+    name, accuracy = used
+    good = "of unknown accuracy" if accuracy is None else f"accurate to {accuracy:g} m"
+    return (f"datums differ: transformed by {name}, {good}",)
 
 
 def space_from_grid(source: OrientationSet, reference_height: float) -> OrientationSet:

@@ -59,7 +59,7 @@ def convert_points(
     else:
         moved = move_ply(path, out, move)
     where = f"from {describe_place(move.source)} to {describe_place(move.target)}"
-    return MovedPoints(moved.count, (where, *moved.notes))
+    return MovedPoints(moved.count, (where, *moved.notes, *move.datum_words()))
 
 
 def _kind(path: Path) -> str:

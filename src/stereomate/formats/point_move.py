@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stereomate.formats.orientation_set import Place, axes_of_place, positions_in, rotations_between
+from stereomate.formats.orientation_set import (
+    Place,
+    axes_of_place,
+    datum_words,
+    positions_in,
+    rotations_between,
+)
+from stereomate.frames.checks import check_coordinates
 from stereomate.frames.mapframe import MapFrame
 
 Array = NDArray[np.float64]
+
+# Points of a block that are looked at for whether they lie in the map.
+_SAMPLE: Final = 200
 
 
 @dataclass(frozen=True)
@@ -28,16 +39,35 @@ class PointMove:
     target: Place
     source_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     target_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    # The first point that was moved: the transformation between datums depends on the place.
+    _first: list[Array] = field(default_factory=list, init=False, repr=False, compare=False)
 
     def points(self, xyz: Array) -> Array:
-        """Points (n, 3) of the source file as they are in the target file."""
-        moved = positions_in(self.source, self.target, xyz + np.array(self.source_offset))[0]
+        """Points (n, 3) of the source file as they are in the target file.
+
+        Raises
+        ------
+        CrsError, HeightSystemError
+            If they cannot be transformed, or a sample of them lies outside the area of a map.
+        """
+        here = xyz + np.array(self.source_offset)
+        moved = positions_in(self.source, self.target, here)[0]
+        sample = slice(None, None, max(1, len(here) // _SAMPLE))
+        for place, points in ((self.source, here), (self.target, moved)):
+            if isinstance(place, MapFrame) and len(here):
+                check_coordinates(place, points[sample], "points")
+        if not self._first and len(here):
+            self._first.append(here[0])
         result: Array = moved - np.array(self.target_offset)
         return result
 
     def notes(self) -> tuple[str, ...]:
         """What is assumed about datum and heights."""
         return positions_in(self.source, self.target, np.empty((0, 3)))[1]
+
+    def datum_words(self) -> tuple[str, ...]:
+        """Which transformation of datums was used; known once points were moved."""
+        return datum_words(self.source, self.target, self._first[0]) if self._first else ()
 
     def directions(self, vectors: Array, xyz: Array) -> Array:
         """Directions (n, 3), such as normals, at points (n, 3) of the source file."""
