@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from stereomate.camera.refraction import ardc_constant
 from stereomate.errors import InputError, OrientationError
 from stereomate.frames.curvature import CurvatureOptions, curvature_corrected, curvature_restored
-from stereomate.frames.refraction import ardc_constant, refraction_corrected, refractive_index
+from stereomate.frames.refraction import refraction_corrected, refractive_index
 from stereomate.geometry.rotations import rotation_from_opk
 
 VARIANTS = [

@@ -10,9 +10,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from stereomate.camera.distortion import BrownDistortion, NoDistortion
 from stereomate.camera.model import Camera
 from stereomate.errors import InputError
+
+Array = NDArray[np.float64]
 
 
 def refraction_constant(flying_height_m: float, ground_height_m: float) -> float:
@@ -27,10 +32,16 @@ def refraction_constant(flying_height_m: float, ground_height_m: float) -> float
         raise InputError(
             "must be above the ground and at most 11000 m", field="flying_height_m", value=flying_height_m
         )
-    high, low = flying_height_m / 1000.0, ground_height_m / 1000.0
-    upper = 2410.0 * high / (high * high - 6.0 * high + 250.0)
-    lower = 2410.0 * low / (low * low - 6.0 * low + 250.0)
-    return 1e-6 * (upper - lower * low / high)
+    return float(ardc_constant(flying_height_m, ground_height_m))
+
+
+def ardc_constant(h_camera: ArrayLike, h_ground: ArrayLike) -> Array:
+    """K, the refraction at 45°, in radians (...); heights (...) in metres above sea level, not checked."""
+    high = np.asarray(h_camera, dtype=np.float64) / 1000.0
+    low = np.asarray(h_ground, dtype=np.float64) / 1000.0
+    k = 2410.0 * high / (high * high - 6.0 * high + 250.0)
+    k = k - 2410.0 * low / (low * low - 6.0 * low + 250.0) * (low / high)
+    return np.asarray(1e-6 * k, dtype=np.float64)
 
 
 def with_refraction(camera: Camera, constant: float) -> Camera:

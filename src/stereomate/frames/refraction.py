@@ -2,8 +2,7 @@
 
 Two models. ``icao``: the ray through the ICAO standard atmosphere, flat layers, Snell's law by quadrature:
 right for any tilt and height. ``ardc``: the closed formula of the ARDC standard atmosphere that is common in
-textbooks and in calibration software, ``K = 2410 H/(H² - 6H + 250) - 2410 h/(h² - 6h + 250) h/H``
-microradians, with H and h in kilometres above sea level.
+textbooks and in calibration software (`camera.refraction`).
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ from typing import Final, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from stereomate.camera.refraction import ardc_constant
 from stereomate.errors import InputError, OrientationError
 from stereomate.frames.curvature import level_tangents, project_level
 
@@ -42,15 +42,6 @@ def refractive_index(height_m: ArrayLike, wavelength_um: float = 0.55) -> Array:
     density = (temperature / _T0) ** (_GRAVITY_OVER_GAS / _LAPSE - 1.0)
     density = density * np.exp(-_GRAVITY_OVER_GAS * (h - low) / temperature)
     return np.asarray(1.0 + sea_level * density, dtype=np.float64)
-
-
-def ardc_constant(h_camera: ArrayLike, h_ground: ArrayLike) -> Array:
-    """Refraction at 45° in radians by the ARDC formula; heights in metres above sea level."""
-    high = np.asarray(h_camera, dtype=np.float64) / 1000.0
-    low = np.asarray(h_ground, dtype=np.float64) / 1000.0
-    k = 2410.0 * high / (high * high - 6.0 * high + 250.0)
-    k = k - 2410.0 * low / (low * low - 6.0 * low + 250.0) * (low / high)
-    return np.asarray(1e-6 * k, dtype=np.float64)
 
 
 def refraction_corrected(
