@@ -211,6 +211,7 @@ export class App {
 
   #frame(time) {
     requestAnimationFrame((next) => this.#frame(next));
+    const started = performance.now();
     const seconds = Math.min((time - this.last) / 1000, 0.1);
     this.last = time;
     const moves = this.motion.step(seconds);
@@ -228,6 +229,7 @@ export class App {
     if (this.renderer.draw(this.view, this.phase)) this.dirty = true;
     this.overlay.draw(this.labels);
     this.#failures();
+    this.renderer.frameTook(performance.now() - started);
     this.frames = (this.frames ?? 0) + 1;
   }
 
