@@ -28,6 +28,7 @@ COMMANDS: Final = (
     "check",
     "run",
     "mosaic",
+    "report",
     "demo",
     "view",
     "publish",

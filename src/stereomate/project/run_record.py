@@ -96,6 +96,8 @@ def read_run_record(path: Path) -> dict[str, Any]:
     """
     try:
         record = json.loads(path.read_bytes())
+    except FileNotFoundError:
+        raise FormatError("does not exist: stereomate run writes it", file=path) from None
     except (OSError, ValueError) as error:
         raise FormatError(f"cannot be read as JSON: {error}", file=path) from error
     if not isinstance(record, dict) or record.get("kind") != "stereomate report":

@@ -10,6 +10,7 @@ import numpy as np
 import shapely
 from matplotlib.colors import LightSource
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from stereomate.coverage.summary import Coverage
@@ -86,7 +87,7 @@ def overlap_figure(coverage: Coverage, survey: Survey, jobs: list[RectifyJob]) -
         vmin=1,
         vmax=max(2, count.max()),
     )
-    figure.colorbar(image, ax=axes, label="photographs", shrink=0.8)
+    figure.colorbar(image, ax=axes, label="photographs", shrink=0.8, ticks=MaxNLocator(integer=True))
     _map_axes(axes, (x_min, y_min, x_max, y_max))
     return figure
 
