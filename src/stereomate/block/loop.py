@@ -26,6 +26,7 @@ Progress = Callable[[int, float], None]
 
 _FIRST_DAMPING: Final = 1e-4
 _LARGEST_DAMPING: Final = 1e8
+_SINGULAR_DAMPING: Final = 1e-2
 _PHOTO_UNKNOWNS: Final = ("X0", "Y0", "Z0", "rotation x", "rotation y", "rotation z")
 
 
@@ -179,9 +180,10 @@ class _Loop:
         """Iterate to the end; what could not be reached is noted."""
         previous: State | None = None
         last_promised = math.inf
+        stuck = was_singular = False
         while self.iterations < self.options.max_iterations:
             equations = self._built()
-            worse = not equations.cost < self.cost or equations.failed > 0
+            worse = not equations.cost < self.cost or equations.failed > 0 or self._lost(equations)
             if previous is not None and worse and not self._is_rounding(last_promised):
                 self.state = previous
                 self.damping = max(10.0 * self.damping, _FIRST_DAMPING)
@@ -197,10 +199,15 @@ class _Loop:
             if self.progress is not None:
                 self.progress(self.iterations, self.cost)
             factored = factor(self.prepared, equations)
-            if factored.singular >= 0:
-                if self.damping > 0.0 or self.iterations > 1 or self.damping > 1e-2:
+            while factored.singular >= 0:
+                # Far from the solution the matrix may be worse than the network is.
+                if self.damping > _SINGULAR_DAMPING or stuck:
                     raise NotDeterminedError(self._name(factored.singular) + " is not determined")
-                raise NotDeterminedError(self._name(factored.singular) + " is not determined")
+                self.damping = max(10.0 * self.damping, _FIRST_DAMPING)
+                self.damped += 1
+                was_singular = True
+                equations = self._built()
+                factored = factor(self.prepared, equations)
             step = solve(self.prepared, equations, factored, self.state, self.width)
             previous, last_promised = self.state, step.promised
             self.state = moved(self.state, self.prepared.layout, step.photos, step.points, step.shared)
@@ -208,6 +215,8 @@ class _Loop:
             if small and self.damping == 0.0:
                 self.converged = True
                 break
+            stuck = was_singular and step.promised <= 1e-6 * self.cost
+            was_singular = False
         if self.converged:
             return
         self.notes.append(f"not converged after {self.iterations} iterations")
@@ -218,25 +227,28 @@ class _Loop:
 
     def _built(self) -> Equations:
         equations = build(self.prepared, self.state, self.start, self.width, self.damping)
-        if equations.undetermined:
-            weak = (equations.v_inverse[:, 0] == 0.0) & (
-                np.bincount(
-                    self.prepared.point[self.prepared.weight[:, 0] > 0.0], minlength=len(self.state.points)
-                )
-                > 0
+        if math.isinf(self.cost) and self._lost(equations):
+            # Parallel rays at the start: such a point says nothing, and would be taken as known.
+            weak = (equations.v_inverse[:, 0] == 0.0) & self._seen()
+            used = np.zeros(len(self.prepared.order), np.bool_)
+            used[self.prepared.order] = (self.prepared.weight[:, 0] > 0.0) & ~weak[self.prepared.point]
+            self.prepared = prepare(self.prepared.network, used)
+            names = [self.prepared.network.points.names[j] for j in np.flatnonzero(weak)[:5]]
+            self.notes.append(
+                f"{int(weak.sum())} points left out, their rays are parallel: {', '.join(names)}"
             )
-            if weak.any():
-                # Parallel rays: such a point says nothing, and would be taken as known.
-                used = np.zeros(len(self.prepared.order), np.bool_)
-                used[self.prepared.order] = (self.prepared.weight[:, 0] > 0.0) & ~weak[self.prepared.point]
-                self.prepared = prepare(self.prepared.network, used)
-                names = [self.prepared.network.points.names[j] for j in np.flatnonzero(weak)[:5]]
-                self.notes.append(
-                    f"{int(weak.sum())} points left out, their rays are parallel: {', '.join(names)}"
-                )
-                self.cost = math.inf
-                return self._built()
+            return self._built()
         return equations
+
+    def _seen(self) -> Mask:
+        rows = self.prepared.point[self.prepared.weight[:, 0] > 0.0]
+        return np.asarray(np.bincount(rows, minlength=len(self.state.points)) > 0)
+
+    def _lost(self, equations: Equations) -> bool:
+        """Whether points that observations take part for have no solution."""
+        if not equations.undetermined:
+            return False
+        return bool(((equations.v_inverse[:, 0] == 0.0) & self._seen()).any())
 
     def _name(self, index: int) -> str:
         """What an index of the normal equations stands for."""

@@ -258,10 +258,20 @@ def statistics_of(
         prepared,
     )
     return Statistics(
-        sigma0, scale, redundancy, observations, unknowns, cofactors, image,
+        sigma0,
+        scale,
+        redundancy,
+        observations,
+        unknowns,
+        cofactors,
+        image,
         motion * np.linalg.norm(on_point[back], axis=2),
-        motion * np.linalg.norm(on_photo[back, :, :3], axis=2), control, reliability.get("positions"), reliability.get("attitudes"), priors,
-    )  # fmt: skip
+        motion * np.linalg.norm(on_photo[back, :, :3], axis=2),
+        control,
+        reliability.get("positions"),
+        reliability.get("attitudes"),
+        priors,
+    )
 
 
 def _inverses(prepared: Prepared, factored: Factored) -> tuple[Array, Array, Array]:
