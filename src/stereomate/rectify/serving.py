@@ -134,6 +134,12 @@ def in_window(job: RectifyJob, models: list[StereoModel]) -> NDArray[np.int16]:
     return np.array([*(index.get(id(m), -1) for m in job.models), -1], np.int16)
 
 
+def _camera_field(camera: Camera) -> tuple[float, ...]:
+    """Least and greatest x/-z and y/-z of a photograph with a margin, columns and rows."""
+    low, high = field_of_view(camera)
+    return (low[0], high[0], low[1], high[1], *camera.size_px)
+
+
 def serve_pixels(
     job: RectifyJob,
     ground: Ground,
@@ -179,6 +185,7 @@ def serve_pixels(
         nodes,
         np.array([code for code, _ in cameras]),
         np.array([parameters for _, parameters in cameras]),
+        np.array([_camera_field(p.camera) for p in job.photographs]),
         ground.surface_nodes,
         ground.patch,
         _bounds(ground.patch, centres[hidden]),
