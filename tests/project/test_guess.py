@@ -8,78 +8,31 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stereomate.camera.model import Camera
 from stereomate.cli import main
 from stereomate.errors import CrsError, FormatError, ProjectError
 from stereomate.formats.declared import Declared
 from stereomate.formats.exchange import FORMATS
-from stereomate.formats.ign import ImageObservations, write_mes
-from stereomate.formats.orientation_set import OrientationSet, converted
+from stereomate.formats.orientation_set import converted
 from stereomate.frames.adjusted import grid_from_space_centres
 from stereomate.frames.heights import HeightSystem
 from stereomate.frames.mapframe import MapFrame
-from stereomate.frames.prediction.plan import FlightPlan, simulated_block
-from stereomate.frames.transform import map_from_tangent
+from stereomate.frames.prediction.plan import FlightPlan
 from stereomate.project.guess import guess_declared
+from stereomate.synthetic.deliveries import write_delivery
 
 CRS = "EPSG:25832"
-PROJECT = f"""
-[project]
-crs = "{CRS}"
-heights = "ellipsoidal"
-
-[[camera]]
-name = "made"
-size_px = [16000, 16000]
-principal_distance_px = 10000.0
-
-[photos]
-files = "*.tif"
-orientation = "not_looked_at.csv"
-
-[control]
-file = "control.app"
-
-[observations]
-files = "ties.mes"
-"""
 
 
-def made(folder, easting, tilt_deg, height=1500.0):
-    """A simulated block in files, and its true orientations about grid axes."""
-    plan = FlightPlan(
-        CRS, easting, 5_400_000.0, height, 300.0, 0.06 * height, heading_deg=70.0, tilt_deg=tilt_deg
-    )
-    block = simulated_block(plan)
-    random = np.random.default_rng(5)
-    image = block.xy / (1e-3 * plan.principal_distance_mm) + random.normal(0.0, 3e-5, block.xy.shape)
-    camera = Camera.from_pixel_pitch("made", (16000, 16000), 100.0, 0.01)
-    pixels, _ = camera.image_from_camera(np.column_stack([image, -np.ones(len(image))]))
-    names = tuple(f"photo_{k}" for k in range(len(block.centres)))
-    write_mes(
-        folder / "ties.mes",
-        ImageObservations(
-            tuple(f"p{k}" for k in block.point_of), tuple(names[k] for k in block.photo_of), pixels
-        ),
-    )
-    points = map_from_tangent(plan.tangent, plan.frame, block.points)
-    (folder / "control.app").write_text(
-        "".join(
-            f"p{k} 13 {x:.4f} {y:.4f} {z:.4f}\n"
-            for k, (x, y, z) in enumerate(points.tolist())
-            if block.control[k]
-        )
-    )
-    (folder / "project.toml").write_text(PROJECT)
-    tangent = OrientationSet(names, block.centres, block.rotations, plan.tangent, "tangent")
-    return plan, converted(tangent, plan.frame, "grid")
+def plan_at(easting, tilt_deg, height=1500.0):
+    at = (easting, 5_400_000.0)
+    return FlightPlan(CRS, *at, height, 300.0, 0.06 * height, heading_deg=70.0, tilt_deg=tilt_deg)
 
 
 @pytest.fixture(scope="module")
 def east(tmp_path_factory):
     """Tilted photographs 100 km east of the central meridian: every convention makes a difference."""
-    folder = tmp_path_factory.mktemp("east")
-    return folder, *made(folder, 600_000.0, 3.0)
+    folder, plan = tmp_path_factory.mktemp("east"), plan_at(600_000.0, 3.0)
+    return folder, plan, write_delivery(folder, plan).true
 
 
 def write(east, name, format_, orientations=None, axes="grid", **wanted):
@@ -160,9 +113,9 @@ def test_what_no_declaration_can_say_is_named(east):
 
 def test_undecidable_is_refused_with_the_readings_that_fit(tmp_path):
     """A low flight on the central meridian, where grid north is true north: nothing tells the two."""
-    _, true = made(tmp_path, 500_000.0, 0.0, 20.0)
-    narrow = (tmp_path, None, true)
-    source = write(narrow, "open.csv", "table", unit="deg")
+    made = write_delivery(tmp_path, plan_at(500_000.0, 0.0, 20.0))
+    source = tmp_path / "orientation.csv"
+    assert made.written.names == made.true.names
     match = r"cannot be guessed: .*axes (grid|local), unit deg \(.* px\); axes (grid|local).*differ by"
     with pytest.raises(FormatError, match=match):
         guess_declared(source, "table", Declared(crs=CRS), tmp_path / "project.toml")
@@ -170,7 +123,8 @@ def test_undecidable_is_refused_with_the_readings_that_fit(tmp_path):
 
 def test_evidence_without_observations(east, tmp_path):
     source = write(east, "open.csv", "table")
-    (tmp_path / "bare.toml").write_text(PROJECT[: PROJECT.index("[observations]")])
+    project = (source.parent / "project.toml").read_text()
+    (tmp_path / "bare.toml").write_text(project[: project.index("[observations]")])
     with pytest.raises(ProjectError, match=r"observations: must be given.*tie or control points"):
         guess_declared(source, "table", Declared(crs=CRS), tmp_path / "bare.toml")
 

@@ -7,7 +7,7 @@ from typing import Any, Final
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import BoundaryNorm, Colormap
+from matplotlib.colors import BoundaryNorm, Colormap, Normalize
 from matplotlib.figure import Figure
 
 from stereomate.frames.audit.findings import Audit
@@ -216,9 +216,14 @@ def _draw_differences(figure: Figure, axes: Axes, result: Audit, known: Any) -> 
     middle = places.mean(axis=0)
     limit = max(float(np.percentile(np.abs(up), 98)), 1e-3)
     x, y = (1e-3 * (places - middle)).T
-    drawn = axes.scatter(x, y, c=up, s=7.0, cmap=_COLOURS, vmin=-limit, vmax=limit, linewidths=0.0)
+    scale = Normalize(-limit, limit)
     control = obs.control[known]
-    axes.plot(x[control], y[control], "^", color="none", markeredgecolor=INK, markersize=7.0)
+    drawn = axes.scatter(
+        x[~control], y[~control], c=up[~control], s=7.0, linewidths=0.0, norm=scale, cmap=_COLOURS
+    )
+    axes.scatter(
+        x[control], y[control], c=up[control], s=60.0, marker="^", edgecolors=INK, norm=scale, cmap=_COLOURS
+    )
     figure.colorbar(drawn, ax=axes, shrink=0.85).set_label("computed minus known height, m")
     axes.set_aspect("equal")
     axes.set_xlabel("x, km from the middle of the block")

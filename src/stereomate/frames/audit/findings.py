@@ -136,7 +136,7 @@ def audit(
     undecided: list[str] = []
     findings = attitude_findings(fits, undecided)
     if used.known.any():
-        findings += height_findings(ranked, pairs, undecided)
+        findings += height_findings(ranked, (len(orientation_heights), len(reference_heights)), undecided)
         findings.append(adjusted_finding(ranked, evaluator, excess, sigma, undecided))
         if not explains(ranked[0], sigma):
             findings = unexplained(findings, ranked[0], sigma, undecided)

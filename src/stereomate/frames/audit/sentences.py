@@ -11,7 +11,6 @@ import numpy as np
 from stereomate.frames.audit.evaluation import CommonTurn, Evaluator
 from stereomate.frames.audit.ranking import (
     AttitudeFit,
-    Heights,
     Hypothesis,
     PatternSlope,
     accuracy_m,
@@ -114,26 +113,29 @@ def _next(fit: AttitudeFit | None) -> str:
 
 
 def height_findings(
-    ranked: Sequence[Hypothesis], pairs: Sequence[Heights], undecided: list[str]
+    ranked: Sequence[Hypothesis], tried: tuple[int, int], undecided: list[str]
 ) -> list[Finding]:
+    """What the heights are; `tried` says how many kinds of the orientation and of known points were tried."""
     best = ranked[0]
-    if len(pairs) == 0:
-        return []
     found = []
-    for key, word, part in (
-        ("photos.heights", "the orientation's heights", lambda h: h.heights.value),
-        ("control.heights", "the control's heights", lambda h: h.reference_heights.value),
+    for key, word, part, kinds in (
+        ("photos.heights", "the orientation's heights", lambda h: h.heights.value, tried[0]),
+        ("control.heights", "the control's heights", lambda h: h.reference_heights.value, tried[1]),
     ):
         decision = decide(ranked, part)
+        sure = decision.sure
         candidate = best.heights if key.startswith("photos") else best.reference_heights
         sentence = f"{word} are {candidate.name}"
         if decision.other is not None:
             sentence += (
                 f"; otherwise known points would differ by {_height_of(decision.other):+.3f} m in height"
             )
-        else:
+        elif kinds > 1:
             sentence += "; every other kind that was tried is far off"
-        found.append(Finding(key, candidate.value, decision.sure, sentence))
+        else:
+            sentence += "; no other kind was tried, and the points tell only that both are in one system"
+            sure = "likely"
+        found.append(Finding(key, candidate.value, sure, sentence))
     same = [h for h in ranked if h.heights.name == h.reference_heights.name]
     if len({h.heights.name for h in same if h.score < best.score + 4.0}) > 1:
         undecided.append(
