@@ -26,6 +26,7 @@ from stereomate.errors import StereomateError
 COMMANDS: Final = (
     "init",
     "check",
+    "orient",
     "run",
     "mosaic",
     "report",
@@ -33,6 +34,7 @@ COMMANDS: Final = (
     "view",
     "publish",
     "measure",
+    "heights",
     "laws",
     "homogeneity",
     "overcorrection",

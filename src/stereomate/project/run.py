@@ -295,7 +295,7 @@ def _make_products(
     planned = planned_mosaics(jobs, place.workspace / "mosaic.json", key, executor, edited)
     report("mosaic", 1, 1)
     return tuple(
-        replace(_make_product(job, place, key, options, report), mosaic=summary) for job, summary in planned
+        replace(make_product(job, place, key, options, report), mosaic=summary) for job, summary in planned
     )
 
 
@@ -331,9 +331,10 @@ def _definition_key(project: Project, jobs: list[RectifyJob], options: RunOption
     )
 
 
-def _make_product(
+def make_product(
     job: RectifyJob, place: OutputFolder, key: str, options: RunOptions, report: ProgressSink
 ) -> ProductResult:
+    """Tiles, assembly and agreement of one product."""
     out = place.out
     roles = _roles(job)
     layout = TilePlan(job.grid.size, job.options.blocksize, options.chunk_tiles)

@@ -14,7 +14,8 @@ from stereomate.raster import Window
 from stereomate.rectify.ground import ground_of, heights_of
 from stereomate.rectify.job import RectifyJob
 from stereomate.rectify.serving import Pixels, camera_nodes, models_of_window, serve_pixels
-from stereomate.stereo.homogeneity import coarse_job, ray_nodes
+from stereomate.stereo.homogeneity import coarse_job
+from stereomate.stereo.rays import ray_nodes
 from stereomate.stereo.surface import JobSurface
 
 Floats = NDArray[np.float64]

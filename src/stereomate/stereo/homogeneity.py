@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from stereomate import __version__
 from stereomate.errors import InputError
-from stereomate.frames.lattice import Lattice
 from stereomate.parallax.laws import LawKind, ParallaxLaw
 from stereomate.raster import Window
 from stereomate.raster.cog import CogProfile, Georeference, assemble_cog, encode_chunk
@@ -36,6 +35,7 @@ from stereomate.rectify.serving import (
     serve_pixels,
 )
 from stereomate.stereo.kernels import homogeneity as kernels
+from stereomate.stereo.rays import ray_nodes, steepest_tangents
 from stereomate.terrain.kernels.rays import block_maxima, steepest_slope
 from stereomate.tiles import executor as tiles
 from stereomate.tiles.ledger import Ledger, run_key
@@ -184,7 +184,7 @@ def homogeneity_window(
     serving = serve_pixels(job, ground, Pixels(window, columns, heights), models, nodes)
     model = np.ascontiguousarray(np.broadcast_to(np.asarray(serving.model, np.int16), heights.shape))
     rays = ray_nodes(job, ground)
-    tangents = _steepest_tangents(rays, ground, object_height_m)
+    tangents = steepest_tangents(rays, ground, object_height_m)
     ground = _widened(job, ground, float(tangents[tangents < 1e6].max(initial=0.0)), object_height_m)
     slope = steepest_slope(ground.patch, *job.heights.cell_size_m)
     cameras = [p.camera.kernel_parameters() for p in job.photographs]
@@ -230,34 +230,6 @@ def packed_laws(laws: tuple[ParallaxLaw, ...]) -> tuple[NDArray[np.int64], Float
     for row, (_, values) in zip(parameters, packed, strict=True):
         row[: len(values)] = values
     return np.array([code for code, _ in packed]), parameters
-
-
-def ray_nodes(job: RectifyJob, ground: Ground) -> Floats:
-    """Nodes relative to each projection centre in product axes, at height 0: (photographs, ny, nx, 3)."""
-    by_u, by_v = _axes(ground.lattice, job.grid.gsd, 0.5 * sum(ground.height_range))
-    normal = ground.lattice.normal
-    matrix = np.linalg.inv(np.stack([by_u, by_v, normal], axis=-1))
-    return np.stack(
-        [
-            np.einsum("yxij,yxj->yxi", matrix, ground.lattice.base - np.asarray(p.orientation.centre))
-            for p in job.photographs
-        ]
-    )
-
-
-def _axes(lattice: Lattice, gsd: float, height: float) -> tuple[Floats, Floats]:
-    """Change of the tangent coordinates per map unit along u and along v at a height."""
-    points = lattice.base + height * lattice.normal
-    spacing = lattice.step * gsd
-    return np.gradient(points, spacing, axis=1), -np.gradient(points, spacing, axis=0)
-
-
-def _steepest_tangents(rays: Floats, ground: Ground, object_height_m: float) -> Floats:
-    """Tangent of the largest nadir angle of each photograph's rays; 1e6 from below."""
-    drop = -(rays[..., 2] + ground.height_range[1] + object_height_m)
-    across = np.hypot(rays[..., 0], rays[..., 1])
-    tangents = np.where(drop > 0.0, across / np.where(drop > 0.0, drop, 1.0), 1e6)
-    return np.asarray(tangents.reshape(len(rays), -1).max(axis=1))
 
 
 def _widened(job: RectifyJob, ground: Ground, tangent: float, object_height_m: float) -> Ground:
