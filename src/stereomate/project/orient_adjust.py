@@ -1,0 +1,338 @@
+"""From a measured block to its adjustment: which parts go together, what is calibrated, what cannot be."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereomate.block.adjustment import BlockAdjustment, adjust_block
+from stereomate.block.options import BlockOptions, TestOptions
+from stereomate.block.orient_network import NOMINAL, Assembled, BlockData, assemble
+from stereomate.block.start import KnownPoints
+from stereomate.camera.model import Camera
+from stereomate.errors import NotDeterminedError
+from stereomate.project.orient_inputs import OrientInputs
+from stereomate.project.orient_measure import Measured, control_measurements
+
+Array = NDArray[np.float64]
+
+_RADIAL: Final = ("k1", "k2", "k3", "k4")
+# What is held first where something is not determined.
+_ORDER: Final = ("principal_distance", "principal_point")
+_NAMES: Final = {
+    "principal_distance": ("principal_distance_mm",),
+    "principal_point": ("principal_point_x_mm", "principal_point_y_mm"),
+}
+_TRIAL_ITERATIONS: Final = 25
+# In standard deviations of the prior.
+_LARGEST_CHANGE: Final = 2.5
+_CORRELATED: Final = 0.95
+# Share of its prior standard deviation that a parameter keeps when the block says next to nothing about it.
+_NOT_IMPROVED: Final = 0.5
+# Part of the photographs whose height must be correlated with the principal distance to call it inseparable.
+_MOST: Final = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Adjusted:
+    """The adjusted block.
+
+    Attributes
+    ----------
+    data : BlockData
+        As it was adjusted at last.
+    assembled : Assembled
+    result : BlockAdjustment
+    oriented : tuple of int
+        Photographs that have an orientation.
+    has_datum : bool
+        Whether the result is in the tangent frame of the map; else in a frame of its own.
+    left_out : dict of int to str
+        Photographs without an orientation and why.
+    findings : tuple of str
+        What a reader must know.
+    """
+
+    data: BlockData
+    assembled: Assembled
+    result: BlockAdjustment
+    oriented: tuple[int, ...]
+    has_datum: bool
+    left_out: dict[int, str]
+    findings: tuple[str, ...]
+
+
+def adjust_measured(
+    inputs: OrientInputs, measured: Measured, progress: Callable[[int, int], None] | None = None
+) -> Adjusted:
+    """Adjust a measured block with everything that is known of it.
+
+    First with what any block determines (orientation, radial distortion); then with the standard deviations
+    of the tie points scaled to what the block shows them to be; then, where the camera's calibration is left
+    to this program, with principal distance and point too, which stay only if the block determines them.
+
+    Raises
+    ------
+    NotDeterminedError
+        If the observations do not determine the orientation.
+    """
+    findings: list[str] = []
+    at, left_out = _taking_part(measured, findings)
+    options = BlockOptions(
+        robust="snooping",
+        tests=TestOptions(inputs.file.orient.significance, inputs.file.orient.power),
+    )
+    automatic = inputs.file.orient.calibrate == "auto"
+    data = _block_data(inputs, measured)
+    wanted = dict(data.calibrate)
+    if automatic:
+        data = data.with_calibration(
+            {n: tuple(k for k in keys if k in _RADIAL) for n, keys in wanted.items()}
+        )
+    tell = progress or (lambda done, total: None)
+    tell(0, 3)
+    assembled, result = _adjusted(data, at, options)
+    tell(1, 3)
+    factor = _image_factor(assembled, result)
+    if math.isfinite(factor) and abs(factor - 1.0) > 0.05:
+        findings.append(
+            f"tie points: their standard deviations are {factor:.2f} times what they were stated with "
+            "(variance component of the image points)"
+        )
+        data = replace(data, ties=replace(data.ties, sigma_px=data.ties.sigma_px * factor))
+        at = _moved(at, assembled, result)
+        assembled, result = _adjusted(data, at, options)
+    tell(2, 3)
+    if automatic and at.has_datum and any(wanted.values()):
+        data, assembled, result = _more_parameters(data, wanted, at, options, (assembled, result), findings)
+    tell(3, 3)
+    findings += result.notes
+    return Adjusted(
+        data,
+        assembled,
+        result,
+        tuple(assembled.photos.tolist()),
+        at.has_datum,
+        left_out,
+        tuple(dict.fromkeys(findings)),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _At:
+    """Approximate values of photographs and tie points; NaN for those that take no part."""
+
+    centres: Array
+    rotations: Array
+    points: Array
+    has_datum: bool
+
+
+def _adjusted(data: BlockData, at: _At, options: BlockOptions) -> tuple[Assembled, BlockAdjustment]:
+    assembled = assemble(data, at.centres, at.rotations, at.points, at.has_datum)
+    return assembled, adjust_block(assembled.network, options)
+
+
+def _moved(at: _At, assembled: Assembled, result: BlockAdjustment) -> _At:
+    """The adjusted values as approximate ones; points that were not determined keep theirs."""
+    centres, rotations, points = at.centres.copy(), at.rotations.copy(), at.points.copy()
+    centres[assembled.photos] = result.centres
+    rotations[assembled.photos] = result.rotations
+    adjusted = result.points[: len(assembled.ties)]
+    known = np.isfinite(adjusted[:, 0])
+    points[assembled.ties[known]] = adjusted[known]
+    return _At(centres, rotations, points, at.has_datum)
+
+
+def _image_factor(assembled: Assembled, result: BlockAdjustment) -> float:
+    """Square root of the variance component of the tie points; NaN where they have little redundancy."""
+    if result.statistics is None:
+        return math.nan
+    image = result.statistics.image
+    ties = np.arange(len(result.used)) < len(assembled.rows)
+    rows = result.used & ties & np.isfinite(image.redundancy).all(axis=1)
+    redundancy = float(image.redundancy[rows].sum())
+    if redundancy < 50.0:
+        return math.nan
+    return math.sqrt(float(np.sum((result.residuals[rows] / image.sigma[rows]) ** 2)) / redundancy)
+
+
+def _more_parameters(
+    data: BlockData,
+    wanted: dict[str, tuple[str, ...]],
+    at: _At,
+    options: BlockOptions,
+    before: tuple[Assembled, BlockAdjustment],
+    findings: list[str],
+) -> tuple[BlockData, Assembled, BlockAdjustment]:
+    """Release principal distance and principal point as far as the block determines them.
+
+    Tried on the observations that are good without them; what is not determined is held and named.
+    """
+    assembled, result = before
+    good = assembled.rows[result.used[: len(assembled.rows)]]
+    clean = replace(data, ties=data.ties.select(np.sort(good)))
+    start = _moved(at, assembled, result)
+    plain = replace(options, robust="none", max_iterations=_TRIAL_ITERATIONS)
+    held: set[str] = set()
+    for _ in range(3):
+        keys = {n: tuple(k for k in chosen if k not in held) for n, chosen in wanted.items()}
+        if all(set(keys[n]) <= set(data.calibrate[n]) for n in keys):
+            return data, assembled, result
+        try:
+            trial = _adjusted(clean.with_calibration(keys), start, plain)
+            doubts = _doubts(data, keys, trial[1])
+        except NotDeterminedError as error:
+            doubts = {"principal_distance": str(error)}
+        if not doubts:
+            released = data.with_calibration(keys)
+            final = _adjusted(released, start, options)
+            return released, *final
+        first = next(key for key in (*_ORDER, *doubts) if key in doubts and key not in held)
+        held.add(first)
+        if first == "principal_point":
+            held |= {"p1", "p2"}
+        findings.append(doubts[first])
+    return data, assembled, result
+
+
+def _doubts(data: BlockData, keys: dict[str, tuple[str, ...]], result: BlockAdjustment) -> dict[str, str]:
+    """Parameters that the block does not determine, with the reason: key -> finding."""
+    doubts: dict[str, str] = {}
+    statistics = result.statistics
+    for k, camera in enumerate(data.cameras):
+        free = result.network.cameras[k].free
+        for key in keys[camera.name]:
+            reason = ""
+            for name in _NAMES.get(key, (key,)):
+                place = result.shared_names.index(f"{camera.name}: {name}")
+                change = float(result.shared[place]) - _nominal(result.network.cameras[k].camera, name)
+                share = abs(change) / free[name]
+                if share > _LARGEST_CHANGE:
+                    reason = f"left free it runs to {result.shared[place]:.4g}, {share:.1f} times its prior"
+                elif not result.converged:
+                    reason = "left free the adjustment does not converge"
+                elif statistics is None or not statistics.shared_sigma[place] < _NOT_IMPROVED * free[name]:
+                    reason = "the block says next to nothing about it"
+                elif key == "principal_distance":
+                    reason = _with_height(result, place, k)
+                if reason:
+                    break
+            if reason and key in _ORDER and key not in doubts:
+                doubts[key] = _finding(key, camera, reason)
+    return doubts
+
+
+def _with_height(result: BlockAdjustment, place: int, camera: int) -> str:
+    """Whether principal distance and height of most photographs are as good as one unknown."""
+    assert result.statistics is not None  # asked before
+    cofactors = result.statistics.cofactors
+    mine = result.network.photographs.camera == camera
+    height = cofactors.photos[mine, 2, 2] * cofactors.shared[place, place]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = cofactors.photo_shared[mine, 2, place] / np.sqrt(height)
+    over = np.abs(correlation) > _CORRELATED
+    if np.count_nonzero(over) < _MOST * np.count_nonzero(mine):
+        return ""
+    largest = float(correlation[np.argmax(np.abs(correlation))])
+    return f"its correlation with their heights is {largest:.3f}"
+
+
+def _finding(key: str, camera: Camera, reason: str) -> str:
+    if key == "principal_distance":
+        return (
+            f"principal distance of {camera.name} and flying height are not separable in this block "
+            f"({reason}): it is held at {camera.principal_distance_mm:g} mm, and an error of it goes into "
+            "the heights above ground in proportion"
+        )
+    return (
+        f"principal point of {camera.name}, tilts and positions are not separable in this block "
+        f"({reason}): it is held"
+    )
+
+
+def _nominal(camera: Camera, name: str) -> float:
+    if name in camera.parameter_names:
+        return camera.parameters[camera.parameter_names.index(name)]
+    return 0.0
+
+
+def _taking_part(measured: Measured, findings: list[str]) -> tuple[_At, dict[int, str]]:
+    """Start orientations of the photographs that are adjusted together, and why the others are not."""
+    n = len(measured.photos)
+    left_out = dict(measured.not_joined)
+    with_datum = [part for part in measured.parts if part.datum != "none"]
+    chosen = with_datum or list(measured.parts[:1])
+    for part in measured.parts:
+        if part not in chosen:
+            names = ", ".join(measured.photos[k].name for k in part.photos)
+            reason = f"belongs to a part of {len(part.photos)} photographs without connection to the others"
+            findings.append(f"unconnected part without a datum, left out: {names}")
+            left_out |= dict.fromkeys(part.photos, reason)
+    if len(measured.parts) > 1:
+        sizes = " + ".join(str(len(part.photos)) for part in measured.parts)
+        how = "they are connected by positions and control points only" if with_datum else ""
+        findings.append(
+            f"the block falls apart into {len(measured.parts)} parts of {sizes} photographs; {how}".rstrip(
+                "; "
+            )
+        )
+    centres, rotations = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
+    for part in chosen:
+        centres[list(part.photos)] = part.centres
+        rotations[list(part.photos)] = part.rotations
+        findings += part.notes
+        findings += [
+            f"{part.datum}: {_outlier(measured, part.datum, name)} contradicts the others"
+            for name in part.outliers
+        ]
+    return _At(centres, rotations, measured.points, bool(with_datum)), left_out
+
+
+def _outlier(measured: Measured, kind: str, name: str) -> str:
+    return measured.photos[int(name)].name if kind == "positions" else name
+
+
+def _block_data(inputs: OrientInputs, measured: Measured) -> BlockData:
+    cameras: dict[str, Camera] = {}
+    calibrate: dict[str, tuple[str, ...]] = {}
+    for photo in inputs.photos:
+        cameras.setdefault(photo.camera.name, photo.camera)
+        calibrate[photo.camera.name] = _keys(inputs, photo.calibrated)
+    numbers = {name: k for k, name in enumerate(cameras)}
+    control, check, sigma = None, None, None
+    if inputs.control is not None:
+        rows = control_measurements(inputs.control, measured.photos)
+        if rows is not None and inputs.control.is_placed:
+            point, photo_of, pixels, sigma = rows
+            c = inputs.control
+            control = KnownPoints(c.names, c.tangent_xyz, c.sigma_m, point, photo_of, pixels)
+            check = c.check
+    return BlockData(
+        tuple(photo.name for photo in inputs.photos),
+        np.array([numbers[photo.camera.name] for photo in inputs.photos], dtype=np.int64),
+        tuple(cameras.values()),
+        calibrate,
+        measured.ties,
+        control,
+        check,
+        sigma,
+        inputs.positions.tangent,
+        inputs.positions.sigma_m,
+        inputs.positions.attitudes,
+        inputs.positions.attitude_sigma,
+    )
+
+
+def _keys(inputs: OrientInputs, calibrated: bool) -> tuple[str, ...]:
+    wanted = inputs.file.orient.calibrate
+    if wanted == "none":
+        return ()
+    if wanted == "auto":
+        return () if calibrated else NOMINAL
+    return tuple(wanted)

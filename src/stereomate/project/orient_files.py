@@ -1,0 +1,264 @@
+"""Files of an orientation: table, adjustment.json, Parquet tables, layer, oriented project file."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereomate.camera.distortion import BrownDistortion, FisheyeDistortion, NoDistortion, OpenCVDistortion
+from stereomate.camera.model import Camera
+from stereomate.formats.declared import Declared
+from stereomate.formats.measured_pairs import write_points
+from stereomate.formats.orientation_set import OrientationSet
+from stereomate.formats.parquet import write_parquet
+from stereomate.formats.tables import write_table
+from stereomate.frames.transform import map_from_tangent
+from stereomate.project.orient_adjust import Adjusted
+from stereomate.project.orient_inputs import OrientInputs
+from stereomate.project.orient_record import OrientedPhotos
+from stereomate.raster.files import write_whole
+
+Array = NDArray[np.float64]
+
+ORIENTATION: Final = "orientation.csv"
+ADJUSTMENT: Final = "adjustment.json"
+ORIENTED: Final = "oriented.toml"
+TABLES: Final = ("photographs.parquet", "points.parquet", "image_points.parquet")
+
+_MEANINGS: Final = {
+    "x": "map coordinate of the project (of the model without a datum)",
+    "y": "map coordinate of the project (of the model without a datum)",
+    "z": "height in the system of the project",
+    "omega": "degrees, about local axes (east, north, up)",
+    "phi": "degrees",
+    "kappa": "degrees",
+    "sx": "standard deviation along the tangent frame's x axis, metres",
+    "sy": "standard deviation along the tangent frame's y axis, metres",
+    "sz": "standard deviation along the tangent frame's z axis, metres",
+    "col": "measured column, pixels from the outer corner of the first one",
+    "row": "measured row",
+    "residual_col": "observed minus computed, pixels",
+    "residual_row": "observed minus computed, pixels",
+    "redundancy_col": "redundancy number, 0 to 1",
+    "redundancy_row": "redundancy number, 0 to 1",
+    "standardized_col": "residual over its standard deviation",
+    "standardized_row": "residual over its standard deviation",
+    "detectable_col": "minimal detectable error, pixels",
+    "detectable_row": "minimal detectable error, pixels",
+    "point_shift_m": "motion of the point by its minimal detectable error, the larger axis",
+    "used": "took part in the adjustment",
+    "rays": "photographs that see it",
+}
+
+
+def write_results(
+    out: Path, inputs: OrientInputs, adjusted: Adjusted, photos: OrientedPhotos, record: dict[str, Any]
+) -> list[Path]:
+    """Write everything but the report; adjustment.json is the last, so where it is, all is there."""
+    written = []
+    if adjusted.has_datum:
+        written += [_orientation(out / ORIENTATION, inputs, photos), out / ORIENTED]
+        write_whole(out / ORIENTED, [oriented_project(inputs, adjusted, out).encode()])
+    written += _tables(out, inputs, adjusted, photos)
+    if adjusted.has_datum:
+        written.append(_layer(out / "photographs.gpkg", inputs, photos, record))
+    write_whole(out / ADJUSTMENT, [(json.dumps(record, indent=1, ensure_ascii=False) + "\n").encode()])
+    return [*written, out / ADJUSTMENT]
+
+
+def _orientation(path: Path, inputs: OrientInputs, photos: OrientedPhotos) -> Path:
+    orientations = OrientationSet(
+        photos.names, photos.positions, photos.rotations, inputs.frame, "local", photos.cameras
+    )
+    write_table(path, orientations, Declared())
+    return path
+
+
+def _tables(out: Path, inputs: OrientInputs, adjusted: Adjusted, photos: OrientedPhotos) -> list[Path]:
+    result = adjusted.result
+    statistics = result.statistics
+    n, m = len(photos.names), len(result.used)
+    sigma = statistics.photo_sigma if statistics is not None else np.full((n, 6), math.nan)
+    columns: dict[str, Any] = {"name": list(photos.names), "camera": list(photos.cameras)}
+    columns |= dict(zip("xyz", photos.positions.T, strict=True))
+    columns |= dict(zip(("omega", "phi", "kappa"), photos.opk_deg.T, strict=True))
+    columns |= dict(zip(("sx", "sy", "sz"), sigma[:, :3].T, strict=True))
+    degrees = np.degrees(sigma[:, 3:])
+    columns |= dict(zip(("s_rotation_x", "s_rotation_y", "s_rotation_z"), degrees.T, strict=True))
+    write_parquet(out / TABLES[0], columns, _MEANINGS)
+    points = result.points
+    if adjusted.has_datum and inputs.tangent is not None:
+        known = np.isfinite(points[:, 0])
+        points = points.copy()
+        points[known] = map_from_tangent(inputs.tangent, inputs.frame, points[known])
+    spread = statistics.point_sigma if statistics is not None else np.full((len(points), 3), math.nan)
+    image = result.network.image
+    columns = {"name": list(result.network.points.names)}
+    columns |= dict(zip("xyz", points.T, strict=True))
+    columns |= dict(zip(("sx", "sy", "sz"), spread.T, strict=True))
+    columns["rays"] = np.bincount(image.point[result.used], minlength=len(points))
+    write_parquet(out / TABLES[1], columns, _MEANINGS)
+    columns = {
+        "point": [result.network.points.names[k] for k in image.point.tolist()],
+        "photograph": [photos.names[k] for k in image.photo.tolist()],
+        "used": result.used,
+    }
+    columns |= {"col": image.xy[:, 0], "row": image.xy[:, 1], "sigma_px": image.sigma[:, 0]}
+    nothing = np.full((m, 2), math.nan)
+    pairs = {
+        "residual": result.residuals,
+        "redundancy": nothing if statistics is None else statistics.image.redundancy,
+        "standardized": nothing if statistics is None else statistics.image.standardized,
+        "detectable": nothing if statistics is None else statistics.image.minimal_detectable,
+    }
+    for name, values in pairs.items():
+        columns[f"{name}_col"], columns[f"{name}_row"] = values.T
+    columns["point_shift_m"] = (nothing if statistics is None else statistics.on_point).max(axis=1)
+    write_parquet(out / TABLES[2], columns, _MEANINGS)
+    return [out / name for name in TABLES]
+
+
+def _layer(path: Path, inputs: OrientInputs, photos: OrientedPhotos, record: dict[str, Any]) -> Path:
+    listed = {entry["name"]: entry for entry in record["photographs"]}
+    residuals = {
+        entry["name"]: entry["residual_m"] for entry in (record["positions"] or {}).get("residuals", [])
+    }
+    stem = [Path(name).stem for name in photos.names]
+    nothing = [None, None, None]
+
+    def axis(values: list[Any], k: int) -> list[float]:
+        return [math.nan if v[k] is None else float(v[k]) for v in values]
+
+    missing = [residuals.get(name, nothing) for name in stem]
+    deviations = [listed[name]["standard_deviation_m"] for name in photos.names]
+    columns: dict[str, Any] = {"name": list(photos.names), "camera": list(photos.cameras)}
+    columns |= dict(zip(("omega", "phi", "kappa"), photos.opk_deg.T, strict=True))
+    columns |= {f"s{a}": axis(deviations, k) for k, a in enumerate("xyz")}
+    columns |= {f"position_residual_{a}": axis(missing, k) for k, a in enumerate("xyz")}
+    write_points(path, columns, photos.positions, inputs.frame.crs, "photographs")
+    return path
+
+
+def oriented_project(inputs: OrientInputs, adjusted: Adjusted, out: Path) -> str:
+    """A project file of the oriented photographs: `stereomate run` goes on from it.
+
+    Everything that the first project file says of terrain and products is kept; paths are absolute.
+    """
+    folder = inputs.path.parent
+    document = inputs.file.model_dump(mode="json", exclude_unset=True)
+    for section, keys in _PATHS.items():
+        for key in keys:
+            value = document.get(section, {}).get(key)
+            if isinstance(value, str):
+                document[section][key] = _absolute(folder, value)
+            elif isinstance(value, list):
+                document[section][key] = [_absolute(folder, v) for v in value]
+    for section in ("orient", "control", "observations"):
+        document.pop(section, None)
+    heights = document["project"]["heights"]
+    if isinstance(heights, str) and (folder / heights).is_file():
+        document["project"]["heights"] = str((folder / heights).resolve())
+    document["project"].setdefault("name", inputs.path.stem)
+    if inputs.tangent is not None:
+        t = inputs.tangent
+        document["project"]["tangent_origin"] = [t.longitude_deg, t.latitude_deg, t.height_m]
+    oriented = [str(inputs.photos[k].path.resolve()) for k in adjusted.oriented]
+    document["photos"] = {
+        "files": oriented, "orientation": ORIENTATION, "angles": "local", "adjusted_in": "space",
+    }  # fmt: skip
+    document["camera"] = [camera_section(camera) for camera in adjusted.result.cameras]
+    return (
+        "# Written by stereomate orient: the oriented photographs, their calibrated cameras, and what\n"
+        f"# {inputs.path.name} says of terrain and products. stereomate run goes on from here.\n\n"
+        + toml_text(document)
+    )
+
+
+_PATHS: Final = {
+    "photos": ("files",),
+    "terrain": ("file", "water"),
+    "products": ("area", "sheets", "breaklines", "seam_file"),
+}
+
+
+def _absolute(folder: Path, text: str) -> str:
+    return text if Path(text).is_absolute() else str(folder.resolve() / text)
+
+
+def camera_section(camera: Camera) -> dict[str, Any]:
+    """A ``[[camera]]`` section of a calibrated camera."""
+    (a, b, _), (d, e, _) = camera.pixel_from_photo
+    section: dict[str, Any] = {"name": camera.name, "size_px": list(camera.size_px)}
+    section["principal_distance_mm"] = camera.principal_distance_mm
+    columns, rows = camera.size_px
+    turned = abs(b) > abs(a)
+    pitch = [1.0 / math.hypot(a, d), 1.0 / math.hypot(b, e)]
+    section["pixel_pitch_mm"] = pitch[::-1] if turned else pitch
+    x, y = camera.principal_point_mm
+    section["principal_point_mm"] = [x, y]
+    for rotation in (0, 90, 180, 270):
+        for mirrored in (False, True):
+            again = Camera.from_pixel_pitch(
+                camera.name,
+                (columns, rows),
+                1.0,
+                (section["pixel_pitch_mm"][0], section["pixel_pitch_mm"][1]),
+                rotation=rotation,
+                mirrored=mirrored,
+            )
+            if np.allclose(again.pixel_from_photo, camera.pixel_from_photo, rtol=1e-12, atol=1e-9):
+                section |= {"rotation": rotation} if rotation else {}
+                section |= {"mirrored": True} if mirrored else {}
+    distortion = _distortion_section(camera)
+    if distortion:
+        section["distortion"] = distortion
+    return section
+
+
+def _distortion_section(camera: Camera) -> dict[str, Any]:
+    d = camera.distortion
+    if isinstance(d, NoDistortion):
+        return {}
+    terms = {name: float(getattr(d, name)) for name in d.coefficient_names if getattr(d, name) != 0.0}
+    if isinstance(d, FisheyeDistortion):
+        return {"model": "fisheye", **terms}
+    if isinstance(d, OpenCVDistortion):
+        return {"model": "opencv", **terms}
+    assert isinstance(d, BrownDistortion)  # the four models there are
+    section: dict[str, Any] = {
+        "model": "brown", "convention": d.convention, "direction": d.direction, "units": d.units,
+    }  # fmt: skip
+    if d.symmetry_mm is not None:
+        section["point_of_symmetry_mm"] = list(d.symmetry_mm)
+    return {**section, **terms}
+
+
+def toml_text(document: dict[str, Any]) -> str:
+    """A TOML document of tables, lists of tables and plain values."""
+    parts = []
+    for name, value in document.items():
+        if value is None:
+            continue
+        tables = value if isinstance(value, list) else [value]
+        head = f"[[{name}]]" if isinstance(value, list) else f"[{name}]"
+        for table in tables:
+            lines = [f"{key} = {_toml(item)}" for key, item in table.items() if item is not None]
+            parts.append("\n".join([head, *lines]))
+    return "\n\n".join(parts) + "\n"
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{k} = {_toml(v)}" for k, v in value.items() if v is not None) + " }"
+    return "[" + ", ".join(_toml(v) for v in value) + "]"

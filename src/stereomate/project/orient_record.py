@@ -1,0 +1,333 @@
+"""The result of an orientation as plain numbers: `adjustment.json`, and the tables behind it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereomate import __version__
+from stereomate.block.statistics import Reliability
+from stereomate.frames.attitude import AttitudeConvention, written_from_axes
+from stereomate.frames.transform import map_from_tangent
+from stereomate.project.orient_adjust import Adjusted
+from stereomate.project.orient_inputs import OrientInputs, heights_are_verified
+from stereomate.project.orient_measure import Measured
+
+Array = NDArray[np.float64]
+
+FORMAT: Final = 1
+_OPK: Final = AttitudeConvention("opk", "local", "deg")
+# A photograph whose angles contradict its stated ones by more than this is named.
+_TURNED: Final = math.radians(20.0)
+
+
+@dataclass(frozen=True, eq=False)
+class OrientedPhotos:
+    """Adjusted photographs in the map of the project (or in the frame of the model without a datum).
+
+    Attributes
+    ----------
+    names, cameras : tuple of str
+    positions : ndarray, shape (n, 3)
+    rotations : ndarray, shape (n, 3, 3)
+        From camera axes to local axes (east, north, up at each centre).
+    opk_deg : ndarray, shape (n, 3)
+    """
+
+    names: tuple[str, ...]
+    cameras: tuple[str, ...]
+    positions: Array
+    rotations: Array
+    opk_deg: Array
+
+
+def oriented_photos(inputs: OrientInputs, adjusted: Adjusted) -> OrientedPhotos:
+    """The adjusted orientations as they are written."""
+    result = adjusted.result
+    names = tuple(inputs.photos[k].path.name for k in adjusted.oriented)
+    cameras = tuple(inputs.photos[k].camera.name for k in adjusted.oriented)
+    positions, rotations = result.centres, result.rotations
+    if adjusted.has_datum and inputs.tangent is not None:
+        tangent = inputs.tangent
+        lon, lat, _ = tangent.geodetic_from_tangent(result.centres).T
+        local = tangent.rotation_tangent_from_enu(lon, lat)
+        rotations = np.swapaxes(local, -1, -2) @ result.rotations
+        positions = map_from_tangent(tangent, inputs.frame, result.centres)
+    return OrientedPhotos(names, cameras, positions, rotations, written_from_axes(rotations, _OPK))
+
+
+def adjustment_record(
+    inputs: OrientInputs, measured: Measured, adjusted: Adjusted, photos: OrientedPhotos, key: str
+) -> dict[str, Any]:
+    """Everything of `adjustment.json`; no times, so that a run repeated gives the same bytes."""
+    result = adjusted.result
+    x, y = result.rms_px
+    used = result.used
+    rays = np.bincount(result.network.image.photo[used], minlength=len(photos.names))
+    return {
+        "format": FORMAT,
+        "kind": "block adjustment",
+        "software": f"stereomate {__version__}",
+        "key": key,
+        "project": inputs.file.project.name or inputs.path.stem,
+        "frame": _frame(inputs, adjusted),
+        "summary": {
+            "photographs": len(inputs.photos),
+            "oriented": len(photos.names),
+            "tie_points": int(np.isfinite(result.points[: len(adjusted.assembled.ties), 0]).sum()),
+            "image_points": int(used.sum()),
+            "observations": result.observations,
+            "unknowns": result.unknowns,
+            "redundancy": result.redundancy,
+            "sigma0": _number(result.sigma0),
+            "global_test": None if result.test is None else vars(result.test),
+            "converged": result.converged,
+            "iterations": result.iterations,
+            "image_rms_px": {"columns": _number(x), "rows": _number(y)},
+            "gross_errors": len(result.gross_errors),
+        },
+        "findings": [*_height_findings(inputs, adjusted), *_turned(inputs, adjusted), *adjusted.findings],
+        "measurement": {
+            "pairs": len(measured.pairs),
+            "pairs_oriented": sum(not pair.reasons for pair in measured.pairs),
+            "chosen": measured.selection,
+            **measured.counts,
+        },
+        "cameras": _cameras(adjusted),
+        "photographs": _photographs(adjusted, photos, rays),
+        "not_oriented": _not_oriented(inputs, measured, adjusted),
+        "positions": _positions(inputs, adjusted),
+        "control": _control(inputs, adjusted),
+        "y_parallaxes": y_parallaxes(adjusted, photos.names),
+        "correlations": [vars(c) for c in result.correlations],
+        "gross_errors": [
+            {
+                "kind": error.kind,
+                "place": error.place,
+                "size": [_number(v) for v in error.size],
+                "standardized": _number(error.standardized),
+            }
+            for error in result.gross_errors
+        ],
+        "notes": list(inputs.notes),
+    }
+
+
+def _frame(inputs: OrientInputs, adjusted: Adjusted) -> dict[str, Any]:
+    if not adjusted.has_datum or inputs.tangent is None:
+        return {"datum": "none", "axes": "of the model: place, direction and scale are arbitrary"}
+    tangent = inputs.tangent
+    return {
+        "datum": "control" if inputs.control is not None else inputs.positions.source,
+        "crs": inputs.frame.crs,
+        "heights": inputs.frame.heights.description,
+        "tangent_origin": [tangent.longitude_deg, tangent.latitude_deg, tangent.height_m],
+        "angles": "omega, phi, kappa in degrees about east, north, up at each projection centre",
+    }
+
+
+def _height_findings(inputs: OrientInputs, adjusted: Adjusted) -> list[str]:
+    if not adjusted.has_datum or heights_are_verified(inputs) or inputs.control is not None:
+        return []
+    if inputs.positions.source != "exif":
+        return []
+    heights = inputs.positions.geographic[:, 2]
+    text = (
+        "the height datum is unverified: altitudes of EXIF say above sea level and are ellipsoidal with many "
+        "drones; nothing in the project tells which"
+    )
+    if np.isfinite(heights).any():
+        text += f" (they are {np.nanmin(heights):.1f} to {np.nanmax(heights):.1f} m)"
+    return [text]
+
+
+def _turned(inputs: OrientInputs, adjusted: Adjusted) -> list[str]:
+    """Photographs whose stated angles are far from those found."""
+    if not adjusted.has_datum:
+        return []
+    found: dict[int, list[str]] = {}
+    for k, photo in enumerate(adjusted.oriented):
+        stated = inputs.positions.attitudes[photo]
+        if not np.isfinite(stated).all():
+            continue
+        turn = stated.T @ adjusted.result.rotations[k]
+        angle = math.acos(max(-1.0, min(1.0, (float(np.trace(turn)) - 1.0) / 2.0)))
+        if angle > _TURNED:
+            found.setdefault(round(math.degrees(angle) / 90.0) * 90, []).append(inputs.photos[photo].name)
+    return [
+        f"{len(names)} photographs are turned by about {angle}° against their stated angles (their pixels "
+        f"are stored so): {', '.join(names[:8])}"
+        for angle, names in sorted(found.items())
+    ]
+
+
+def _cameras(adjusted: Adjusted) -> list[dict[str, Any]]:
+    result = adjusted.result
+    sigma = (
+        result.statistics.shared_sigma
+        if result.statistics is not None
+        else np.full(len(result.shared), math.nan)
+    )
+    place = {name: k for k, name in enumerate(result.shared_names)}
+    cameras = []
+    for entry, camera in zip(result.network.cameras, result.cameras, strict=True):
+        parameters = {}
+        for name, value in zip(camera.parameter_names, camera.parameters, strict=True):
+            k = place.get(f"{camera.name}: {name}")
+            parameters[name] = {
+                "value": _number(value),
+                "standard_deviation": None if k is None else _number(sigma[k]),
+                "prior": _number(entry.free.get(name, math.nan)),
+                "found": k is not None,
+            }
+        cameras.append({"name": camera.name, "size_px": list(camera.size_px), "parameters": parameters})
+    return cameras
+
+
+def _photographs(adjusted: Adjusted, photos: OrientedPhotos, rays: NDArray[np.int64]) -> list[dict[str, Any]]:
+    statistics = adjusted.result.statistics
+    sigma = statistics.photo_sigma if statistics is not None else np.full((len(photos.names), 6), math.nan)
+    return [
+        {
+            "name": name,
+            "camera": photos.cameras[k],
+            "position": _numbers(photos.positions[k]),
+            "omega_phi_kappa_deg": _numbers(photos.opk_deg[k]),
+            "standard_deviation_m": _numbers(sigma[k, :3]),
+            "standard_deviation_deg": _numbers(np.degrees(sigma[k, 3:])),
+            "image_points": int(rays[k]),
+        }
+        for k, name in enumerate(photos.names)
+    ]
+
+
+def _not_oriented(inputs: OrientInputs, measured: Measured, adjusted: Adjusted) -> list[dict[str, str]]:
+    reasons = {inputs.photos[k].path.name: reason for k, reason in adjusted.left_out.items()}
+    reasons |= {problem.name: str(problem.error) for problem in (*inputs.problems, *measured.problems)}
+    return [{"name": name, "reason": reason} for name, reason in sorted(reasons.items())]
+
+
+def _positions(inputs: OrientInputs, adjusted: Adjusted) -> dict[str, Any] | None:
+    statistics, observed = adjusted.result.statistics, adjusted.result.network.positions
+    if statistics is None or observed is None or statistics.positions is None:
+        return None
+    part = statistics.positions
+    rms = np.sqrt(np.nanmean(part.residuals**2, axis=0))
+    names = adjusted.result.network.photographs.names
+    return {
+        "source": inputs.positions.source,
+        "sigma_m": list(inputs.positions.sigma_m),
+        "rms_m": _numbers(rms),
+        "rms_plan_m": _number(float(np.hypot(rms[0], rms[1]))),
+        "mean_m": _numbers(np.nanmean(part.residuals, axis=0)),
+        "residuals": [
+            {"name": names[photo], "residual_m": _numbers(part.residuals[k]),
+             "standardized": _numbers(part.standardized[k]), "redundancy": _numbers(part.redundancy[k])}
+            for k, photo in enumerate(observed.photo.tolist())
+        ],
+    }  # fmt: skip
+
+
+def _control(inputs: OrientInputs, adjusted: Adjusted) -> dict[str, Any] | None:
+    result = adjusted.result
+    observed = result.network.control
+    if observed is None or inputs.control is None:
+        return None
+    statistics = result.statistics
+    part = statistics.control if statistics is not None else None
+    sigma = statistics.point_sigma if statistics is not None else None
+    record: dict[str, Any] = {}
+    assert observed.check is not None  # filled in by the network
+    residual = observed.xyz - result.points[observed.point]
+    for kind, rows in (
+        ("control", np.flatnonzero(~observed.check)),
+        ("check", np.flatnonzero(observed.check)),
+    ):
+        with np.errstate(invalid="ignore"):
+            rms = [
+                _number(math.sqrt(float(np.mean(v**2)))) if (v := c[np.isfinite(c)]).size else None
+                for c in residual[rows].T
+            ]
+        record[kind] = {
+            "count": len(rows),
+            "rms_m": rms,
+            "points": [_control_point(result, observed, part, sigma, residual, k) for k in rows.tolist()],
+        }
+    return record
+
+
+def _control_point(
+    result: Any, observed: Any, part: Reliability | None, sigma: Array | None, residual: Array, k: int
+) -> dict[str, Any]:
+    point = int(observed.point[k])
+    return {
+        "name": result.network.points.names[point],
+        "residual_m": _numbers(residual[k]),
+        "sigma_m": _numbers(np.where(np.isfinite(observed.sigma[k]), observed.sigma[k], math.nan)),
+        "standard_deviation_m": None if sigma is None else _numbers(sigma[point]),
+        "standardized": None if part is None else _numbers(part.standardized[k]),
+        "redundancy": None if part is None else _numbers(part.redundancy[k]),
+        "rays": int(np.count_nonzero(result.network.image.point[result.used] == point)),
+    }
+
+
+def y_parallaxes(adjusted: Adjusted, names: Sequence[str]) -> list[dict[str, Any]]:
+    """Remaining y-parallax of every pair that shares tie points: how far rays miss each other, pixels.
+
+    The difference of the residuals of a point in both photographs, at right angles to the epipolar line in
+    the second.
+    """
+    result = adjusted.result
+    image = result.network.image
+    rows = np.flatnonzero(result.used & (image.point < len(adjusted.assembled.ties)))
+    of_photo = {k: rows[image.photo[rows] == k] for k in range(len(names))}
+    record = []
+    for a in range(len(names)):
+        for b in range(a + 1, len(names)):
+            common, i, j = np.intersect1d(
+                image.point[of_photo[a]], image.point[of_photo[b]], return_indices=True
+            )
+            if len(common) < 5:
+                continue
+            first, second = of_photo[a][i], of_photo[b][j]
+            across = _across_epipolar(adjusted, a, b, image.xy[first], common)
+            back = _across_epipolar(adjusted, b, a, image.xy[second], common)
+            parallax = np.sum(result.residuals[second] * across, axis=1) - np.sum(
+                result.residuals[first] * back, axis=1
+            ) * np.sign(np.sum(across * back, axis=1))
+            good = parallax[np.isfinite(parallax)]
+            if good.size:
+                record.append({"left": names[a], "right": names[b], "points": int(good.size),
+                               "rms_px": _number(math.sqrt(float(np.mean(good**2))))})  # fmt: skip
+    return record
+
+
+def _across_epipolar(adjusted: Adjusted, a: int, b: int, pixels: Array, points: NDArray[np.int64]) -> Array:
+    """Unit vectors in photograph b at right angles to the epipolar lines of points of photograph a."""
+    result = adjusted.result
+    camera = result.cameras[int(result.network.photographs.camera[b])]
+    ground = result.points[points]
+    towards = ground - result.centres[a]
+    seen = []
+    for share in (1.0, 1.001):
+        local = (result.centres[a] + share * towards - result.centres[b]) @ result.rotations[b]
+        seen.append(camera.image_from_camera(np.nan_to_num(local))[0])
+    along = seen[1] - seen[0]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+    return np.column_stack([-along[:, 1], along[:, 0]])
+
+
+def _number(value: float) -> float | None:
+    """Rounded far below what matters, so that the last bits do not reach a file."""
+    value = float(value)
+    return float(f"{value:.10g}") if math.isfinite(value) else None
+
+
+def _numbers(values: Array) -> list[float | None]:
+    return [_number(v) for v in np.asarray(values).ravel().tolist()]
