@@ -58,6 +58,7 @@ def _view(
     )
     site = open_site(product, name, options, verify)
     try:
+        site.prepare()
         serve(site, port, ready)
     finally:
         site.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import mimetypes
 import socket
@@ -122,6 +123,8 @@ def serve(files: Files, port: int = 0, ready: Callable[[str], None] | None = Non
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listener.bind(("127.0.0.1", port))
+            # from here on a browser may ask: it waits for the answer
+            listener.listen(128)
         except OSError as error:
             raise InputError(f"cannot be used: {error.strerror}", field="port", value=port) from error
         address = f"http://127.0.0.1:{listener.getsockname()[1]}/"
@@ -130,4 +133,6 @@ def serve(files: Files, port: int = 0, ready: Callable[[str], None] | None = Non
         )
         if ready is not None:
             ready(address)
-        uvicorn.Server(config).run(sockets=[listener])
+        # the server ends in peace and then hands the interruption on: here it is how one leaves
+        with contextlib.suppress(KeyboardInterrupt):
+            uvicorn.Server(config).run(sockets=[listener])

@@ -249,6 +249,11 @@ class Site:
             return self.sources[int(parts[1])].read(parts[2])
         return read_page(name)
 
+    def prepare(self) -> None:
+        """Make what the first picture waits for."""
+        for source in self.sources:
+            source.read("product.json")
+
     def _list(self) -> dict[str, Any]:
         jobs = [source.product.job for source in self.sources]
         return {
