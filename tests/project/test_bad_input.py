@@ -313,3 +313,16 @@ def test_errors_page_lists_every_class():
         if isinstance(value, type) and issubclass(value, errors.StereomateError)
     ]
     assert [name for name in classes if f"`{name}`" not in page] == []
+
+
+def test_centres_outside_the_map(small):
+    table = small.folder / "orientation.csv"
+    head, *rows = table.read_text().splitlines()
+    x, y = (head.split(",").index(name) for name in "xy")
+    swapped = []
+    for row in rows:
+        cells = row.split(",")
+        cells[x], cells[y] = cells[y], cells[x]
+        swapped.append(",".join(cells))
+    table.write_text("\n".join([head, *swapped]) + "\n")
+    fails(small, errors.CrsError, "2 of 2 projection centres lie outside", "x and y exchanged")
