@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from stereomate.cli import main
 from stereomate.errors import CrsError, FormatError, ProjectError
 from stereomate.formats.declared import Declared
-from stereomate.formats.exchange import FORMATS
+from stereomate.formats.exchange import FORMATS, convert_orientation
 from stereomate.formats.orientation_set import converted
 from stereomate.frames.adjusted import grid_from_space_centres
 from stereomate.frames.heights import HeightSystem
@@ -135,3 +136,41 @@ def test_a_frame_that_is_elsewhere(east):
     source = write(east, "open.csv", "table", moved)
     with pytest.raises(CrsError, match="x and y exchanged"):
         guess_declared(source, "table", Declared(crs=CRS), folder / "project.toml")
+
+
+@pytest.mark.real
+def test_a_real_delivery_with_three_errors(data_folder, tmp_path):
+    """Gon for degrees, feet for metres, heights above a geoid nobody named, and an adjustment in the grid."""
+    for file in (data_folder / "ign_borea_A").iterdir():
+        shutil.copyfile(file, tmp_path / file.name)
+    (tmp_path / "project.toml").write_text(
+        '[project]\ncrs = "EPSG:2154"\nheights = "ellipsoidal"\n[[camera]]\nname = "UCE-M3-f120-s06"\n'
+        "size_px = [26460, 17004]\nprincipal_distance_px = 30975.0\nprincipal_point_px = [13210.0, 8502.0]\n"
+        '[photos]\nfiles = "*.jp2"\norientation = "not_looked_at.OPK"\n'
+        '[control]\nfile = "gcp_ellipsoidal.app"\n[observations]\n'
+        'files = ["tie_points.mes", "gcp_image.mes"]\npoints = "tie_points_world_ellipsoidal.mes"\n'
+    )
+    head, *rows = (tmp_path / "eo_lambert93_ign69.OPK").read_text().splitlines()
+    spoilt = [head]
+    for row in rows:
+        name, x, y, z, *angles, camera = row.split()
+        angles = [f"{float(angle) / 0.9:.12f}" for angle in angles]
+        spoilt.append("\t".join([name, x, y, f"{float(z) / 0.3048:.4f}", *angles, camera]))
+    (tmp_path / "spoilt.OPK").write_text("\n".join(spoilt) + "\n")
+    declared = Declared(crs="EPSG:2154")
+    found = guess_declared(tmp_path / "spoilt.OPK", "ign-opk", declared, tmp_path / "project.toml")
+    assert (found.declared.axes, found.declared.unit) == ("grid", "gon")
+    assert found.declared.heights == HeightSystem.grid_file(tmp_path / "fr_ign_RAF20.tif", 0.3048)
+    made = convert_orientation(
+        tmp_path / "spoilt.OPK",
+        tmp_path / "out.csv",
+        "ign-opk",
+        "table",
+        found.declared,
+        Declared(crs="EPSG:2154", heights=HeightSystem.ellipsoidal()),
+        (found.grid_reference_height, None),
+    ).written
+    # What the delivery means: its heights over RAF20, freed of (tau_e - 1) H = 0.486 m.
+    first = made.positions[made.names.index("23FD1305x00026_01300")]
+    np.testing.assert_allclose(first[:2], (814963.604, 6285490.639), atol=1e-6)
+    assert first[2] == pytest.approx(1821.445, abs=0.01)
