@@ -7,16 +7,17 @@ distance from the critical cylinder, and any other orientation that fits the sam
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from stereomate.errors import InputError
-from stereomate.geometry.rotations import rotation_from_vector
 from stereomate.relative.coplanarity import CoplanarityAdjustment
 from stereomate.relative.kernels.alternatives import other_minimum
+from stereomate.relative.kernels.degenerate import correlation_of_rays, rotation_only, square_sum
 from stereomate.relative.pair import Correspondences, RelativePose
 
 Array = NDArray[np.float64]
@@ -80,36 +81,69 @@ class CriticalCylinder:
 class GeometryDiagnosis:
     """What the arrangement of the points allows.
 
+    Attributes that no decision hangs on are computed when they are first asked for.
+
     Parameters
     ----------
     reasons : tuple of str
         Why the orientation is not determined; empty if it is.
     largest_standard_deviation_deg : float
         Of base direction and rotation together, in the worst direction of the five.
-    cofactor_omega : float
-        Variance of omega of the dependent pair (rad²) for a closure of one sigma: the strength of the tilt.
-    inflation_omega : float
-        Factor on the standard deviation of omega because the other elements are unknown too.
-    critical_cylinder : CriticalCylinder
-    flatness : float
-        Root mean square distance of the points from a plane over their mean depth.
-    planar : bool
-        The points lie on one plane within their noise.
     parallax_ratio : float
         Root mean square residual of a pure rotation over the noise; near 1 there is no base.
     alternatives : tuple of RelativePose
         Other orientations that fit as well.
+    adjustment : CoplanarityAdjustment
+        What was judged.
+    looked_at : Correspondences
+        The points looked at.
+    variances : (float, float)
+        Noise of left and right coordinates, of a principal distance of one.
+    significance : float
+        Of the test for a plane.
     """
 
     reasons: tuple[str, ...]
     largest_standard_deviation_deg: float
-    cofactor_omega: float
-    inflation_omega: float
-    critical_cylinder: CriticalCylinder
-    flatness: float
-    planar: bool
     parallax_ratio: float
     alternatives: tuple[RelativePose, ...]
+    adjustment: CoplanarityAdjustment = field(repr=False)
+    looked_at: Correspondences = field(repr=False)
+    variances: tuple[float, float]
+    significance: float
+
+    @cached_property
+    def _omega(self) -> tuple[float, float]:
+        return _strength_of_omega(self.adjustment)
+
+    @cached_property
+    def _model(self) -> Array:
+        return model_points(self.adjustment.pose, self.looked_at)
+
+    @property
+    def cofactor_omega(self) -> float:
+        """Variance of omega of the dependent pair (rad²) for a closure of one sigma."""
+        return self._omega[0]
+
+    @property
+    def inflation_omega(self) -> float:
+        """Factor on the standard deviation of omega because the other elements are unknown too."""
+        return self._omega[1]
+
+    @cached_property
+    def critical_cylinder(self) -> CriticalCylinder:
+        """The cylinder through the base that fits the points best, and how far off it they are."""
+        return critical_cylinder(self._model)
+
+    @cached_property
+    def flatness(self) -> float:
+        """Root mean square distance of the points from a plane over their mean depth."""
+        return _flatness(self._model, float(np.mean(np.abs(self._model[:, 2]))) or 1.0)
+
+    @cached_property
+    def planar(self) -> bool:
+        """The points lie on one plane within their noise."""
+        return _on_a_plane(self.looked_at, self.variances, self.significance)
 
 
 def diagnose(
@@ -143,25 +177,13 @@ def diagnose(
     if no_parallax:
         reasons.append("no parallax: the photographs differ by a rotation only, the base is unknown")
 
-    model = model_points(pose, chosen)
-    depth = float(np.mean(np.abs(model[:, 2]))) or 1.0
-    flatness = _flatness(model, depth)
-    planar = _on_a_plane(chosen, variances, options)
     alternatives = _alternatives(chosen, pose, variances, options, seed)
     if alternatives and not no_parallax:
+        planar = _on_a_plane(chosen, variances, options.significance)
         kind = "the points lie on one plane" if planar else "critical arrangement of the points"
         reasons.append(f"{kind}: another orientation fits them as well")
-    omega, inflation = _strength_of_omega(adjustment)
     return GeometryDiagnosis(
-        tuple(reasons),
-        worst,
-        omega,
-        inflation,
-        critical_cylinder(model),
-        flatness,
-        planar,
-        ratio,
-        alternatives,
+        tuple(reasons), worst, ratio, alternatives, adjustment, chosen, variances, options.significance
     )
 
 
@@ -209,14 +231,18 @@ def critical_cylinder(model: Array) -> CriticalCylinder:
 
 def _variances(c: Correspondences, noise: float) -> tuple[float, float]:
     left, right = (
-        float(np.median(v[:, 0] + v[:, 2])) / 2.0 * noise**2 for v in (c.left_covariance, c.right_covariance)
+        0.5 * noise**2 * (float(v[0, 0] + v[0, 2]) if len(v) == 1 else float(np.median(v[:, 0] + v[:, 2])))
+        for v in (c.left_covariance, c.right_covariance)
     )
     return left, right
 
 
 def _on_a_line(c: Correspondences, variances: tuple[float, float]) -> bool:
     for points, variance in ((c.left, variances[0]), (c.right, variances[1])):
-        across = float(np.linalg.eigvalsh(np.cov(points.T))[0])
+        x, y = (points - points.mean(axis=0)).T
+        xx, xy, yy = (float(a @ b) / (len(c) - 1) for a, b in ((x, x), (x, y), (y, y)))
+        # Smaller eigenvalue of the scatter.
+        across = 0.5 * (xx + yy - math.hypot(xx - yy, 2.0 * xy))
         if across < 25.0 * variance + 1e-18:
             return True
     return False
@@ -226,25 +252,12 @@ def _pure_rotation(
     c: Correspondences, variances: tuple[float, float], options: DiagnosisOptions
 ) -> tuple[float, bool]:
     """Root mean square residual of a rotation alone over the noise, and whether it explains the points."""
-    left = np.column_stack([c.left, -np.ones(len(c))])
-    right = np.column_stack([c.right, -np.ones(len(c))])
-    u, _, v = np.linalg.svd((left / np.sum(left**2, axis=1, keepdims=True)).T @ right)
+    correlation = np.empty((3, 3))
+    correlation_of_rays(c.left, c.right, correlation)
+    u, _, v = np.linalg.svd(correlation)
     rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v
-    variance = variances[0] + variances[1]
-    residual = c.left
     # Two Gauss-Newton steps from directions to photo coordinates.
-    for _ in range(2):
-        turned = right @ rotation.T
-        scale = -1.0 / turned[:, 2]
-        x, y = turned[:, 0] * scale, turned[:, 1] * scale
-        residual = c.left - np.column_stack([x, y])
-        by_x = np.column_stack([x * y, -(1.0 + x * x), -y])
-        by_y = np.column_stack([1.0 + y * y, -x * y, x])
-        step = np.linalg.lstsq(np.vstack([by_x, by_y]), residual.T.ravel(), rcond=None)[0]
-        rotation = rotation_from_vector(step) @ rotation
-    turned = right @ rotation.T
-    residual = c.left + turned[:, :2] / turned[:, 2:]
-    total = float(np.sum(residual**2)) / variance
+    total = rotation_only(c.left, c.right, rotation, 2) / (variances[0] + variances[1])
     freedom = 2 * len(c) - 3
     return math.sqrt(total / freedom), total < float(chdtri(freedom, options.significance))
 
@@ -256,7 +269,7 @@ def _flatness(model: Array, depth: float) -> float:
     return float(scatter[-1]) / depth
 
 
-def _on_a_plane(c: Correspondences, variances: tuple[float, float], options: DiagnosisOptions) -> bool:
+def _on_a_plane(c: Correspondences, variances: tuple[float, float], significance: float) -> bool:
     """A homography explains the points within their noise: they lie on one plane (or there is no base)."""
     if len(c) < 6:
         return True
@@ -276,7 +289,7 @@ def _on_a_plane(c: Correspondences, variances: tuple[float, float], options: Dia
     magnification = np.abs(np.linalg.det(h) / w**3)
     variance = variances[0] + variances[1] * magnification
     total = float(np.sum(((u - p) ** 2 + (v - q) ** 2) / variance))
-    return total < float(chdtri(max(2 * len(c) - 8, 1), options.significance))
+    return total < float(chdtri(max(2 * len(c) - 8, 1), significance))
 
 
 def _alternatives(
@@ -302,18 +315,8 @@ def _alternatives(
     )
     if not math.isfinite(total):
         return ()
-    from_here = _square_sum(c, pose, variances)
+    from_here = square_sum(pose.essential.ravel(), c.left, c.right, *variances)
     return (RelativePose(base, rotation),) if total - from_here < options.ambiguity else ()
-
-
-def _square_sum(c: Correspondences, pose: RelativePose, variances: tuple[float, float]) -> float:
-    left = np.column_stack([c.left, -np.ones(len(c))])
-    right = np.column_stack([c.right, -np.ones(len(c))])
-    by_left, by_right = right @ pose.essential.T, left @ pose.essential
-    closure = np.einsum("ij,ij->i", left, by_left)
-    variance = variances[0] * np.sum(by_left[:, :2] ** 2, axis=1)
-    variance = variance + variances[1] * np.sum(by_right[:, :2] ** 2, axis=1)
-    return float(np.sum(closure**2 / variance))
 
 
 def _strength_of_omega(adjustment: CoplanarityAdjustment) -> tuple[float, float]:

@@ -22,6 +22,8 @@ Words = NDArray[np.uint64]
 # Poses nearer than this (sine of the angle, about 1°) are one and the same minimum.
 _SAME = 0.02
 _CANDIDATES = 6
+# Points that a start is first adjusted to.
+_FIRST_LOOK = 60
 
 
 @kernel
@@ -93,15 +95,29 @@ def other_minimum(
                 rotations[worst] = rot
     cov_left, cov_right = np.array([[vl, 0.0, vl]]), np.array([[vr, 0.0, vr]])
     weight, residual, cofactor = np.ones(m), np.zeros((m, 4)), np.empty((5, 5))
+    # A part of the points says whether a start leads anywhere.
+    stride = max(1, m // _FIRST_LOOK)
+    part_left, part_right = left[::stride].copy(), right[::stride].copy()
+    part = part_left.shape[0]
     best, share = np.inf, 0.0
     for k in range(_CANDIDATES):
         if not np.isfinite(costs[k]):
             continue
         total, _iterations, _state = adjust(
-            left, right, cov_left, cov_right, weight, bases[k], rotations[k], residual, cofactor, 3
+            part_left,
+            part_right,
+            cov_left,
+            cov_right,
+            weight[:part],
+            bases[k],
+            rotations[k],
+            residual[:part],
+            cofactor,
+            3,
         )
-        # Three steps bring a start near a minimum; one that is far off the noise is no rival.
-        if total > 20.0 * m:
+        # Three steps bring a start near a minimum; one far off the noise is no rival, and most have come to
+        # the known one.
+        if total > 20.0 * part or pose_distance(bases[k], rotations[k], base, rotation) < _SAME:
             continue
         total, _iterations, _state = adjust(
             left, right, cov_left, cov_right, weight, bases[k], rotations[k], residual, cofactor, 12
