@@ -5,6 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from conftest import SURVEY, serving
+from stereomate.stereo.product import StereoProduct
+from stereomate.viewer.site import Site
+
 MEASURE = """async ([base, pairs, sigma]) => {
   const { Product } = await import(base + 'product.js');
   const product = await Product.open(base + 'data/0');
@@ -50,6 +54,7 @@ def test_points_equal_python(both):
     assert measured.sum() > 60
     assert [m["point"] is not None for m in page] == measured.tolist()
     points = np.array([m["point"] for m in page if m["point"]])
+    print("largest difference, m:", np.abs(points - python.points[measured]).max(axis=0))
     np.testing.assert_allclose(points, python.points[measured], atol=5e-4)
     sigma = np.array([m["sigma"] for m in page if m["point"]])
     np.testing.assert_allclose(sigma, python.sigma[measured], rtol=1e-4)
@@ -69,3 +74,31 @@ def test_flags_and_lineage_equal_python(both):
     measured = python.measured
     law = np.array([m["law"] for m in page])[measured]
     np.testing.assert_allclose(law, python.law_heights[measured], atol=1e-9)
+
+
+@pytest.mark.slow
+def test_rotated_grid_other_law_and_bicubic_heights(browser, tmp_path):
+    """Another product: rows along a base 35 degrees off, natural law, bicubic heights."""
+    from run_survey import make, write_tiny
+
+    project = write_tiny(tmp_path / "survey", **SURVEY, heading_deg=55.0)
+    text = project.read_text().replace('"logarithmic"', '"natural"')
+    assert text.endswith('law = "natural"\n')
+    project.write_text(text + 'heights_interpolation = "cubic"\n')
+    make(project, tmp_path / "out", agreement=False, threads=1)
+    product = StereoProduct.open(tmp_path / "out", verify=False)
+    job = product.job
+    assert abs(job.grid.rotation) > 0.3
+    left, right = random_pairs(job, 120, 2)
+    python = product.measure(job.grid.map_from_pixel(left), job.grid.map_from_pixel(right))
+    site = Site([product])
+    with serving(site) as address:
+        page = in_page(browser, address, list(zip(left, right, strict=True)), 0.3)
+    site.close()
+    measured = python.measured
+    assert measured.sum() > 20
+    points = np.array([m["point"] for m in page if m["point"]])
+    np.testing.assert_allclose(points, python.points[measured], atol=5e-4)
+    sigma = np.array([m["sigma"] for m in page if m["point"]])
+    np.testing.assert_allclose(sigma, python.sigma[measured], rtol=1e-4)
+    np.testing.assert_array_equal([m["flags"] & ~256 for m in page], python.flags & ~256)
