@@ -141,7 +141,7 @@ def _maps(
     from stereomate.project.run import RunOptions, plan
     from stereomate.stereo.homogeneity import coarse_job, write_homogeneity
 
-    _, jobs = plan(load(project), RunOptions(threads=threads))
+    _, jobs = plan(load(project, planned=True), RunOptions(threads=threads))
     found = []
     for job in jobs:
         model_m = job.heights.resolution_m / job.frame.unit_m

@@ -27,6 +27,10 @@ def _laws(
     figure: Annotated[
         Path | None, typer.Option("--figure", help="Write a figure: .svg, .pdf or .png.")
     ] = None,
+    write: Annotated[
+        Path | None,
+        typer.Option("--write", help="Write the fitted table: a CSV for products.law_table of a project."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Compare linear, logarithmic, natural and a fitted law over the area of a block; recommend one."""
@@ -37,7 +41,7 @@ def _laws(
 
     settings: Settings = context.obj
     screen = Screen(pixel_mm, distance_mm)
-    _, jobs = plan(load(project), RunOptions(threads=settings.threads))
+    _, jobs = plan(load(project, planned=True), RunOptions(threads=settings.threads))
     records = []
     for job in jobs:
         block, choice = choose_law_of(job, screen, object_height)
@@ -52,6 +56,10 @@ def _laws(
             )
         elif settings.verbosity >= 0:
             _print(job.name, choice, object_height)
+        if write is not None:
+            _write_table(
+                choice, write if not job.name else write.with_stem(f"{write.stem}_{job.name}"), as_json
+            )
         if figure is not None:
             name = figure if not job.name else figure.with_stem(f"{figure.stem}_{job.name}")
             _draw(job, block, choice, name)
@@ -89,6 +97,15 @@ def _print(name: str, choice: Any, object_height: float) -> None:
     out.print(f"* recommended: {choice.recommended.law.kind}", highlight=False)
     for reason in choice.reasons:
         out.print(f"- {reason}", highlight=False)
+
+
+def _write_table(choice: Any, path: Path, quiet: bool) -> None:
+    from stereomate.formats.law_table import write_law_table
+
+    fitted = next(a.law for a in choice.assessments if a.law.kind == "table")
+    write_law_table(path, fitted)
+    if not quiet:
+        typer.echo(f'fitted table: {path}; in the project file: law = "table", law_table = "{path.name}"')
 
 
 def _draw(job: Any, block: Any, choice: Any, path: Path) -> None:

@@ -15,15 +15,34 @@ from stereomate.project.photos import match_names, photo_files, read_photo_info
 from stereomate.project.schema import ProductsSection, ProjectFile
 from stereomate.raster import RasterInfo
 
+# Planned photographs are named with or without one of these.
+_IMAGE_SUFFIXES = (".tif", ".tiff", ".jpg", ".jpeg", ".png", ".jp2")
+
 
 @dataclass(frozen=True)
 class Candidate:
-    """A photograph with an orientation, on its way into the survey."""
+    """A photograph with an orientation, on its way into the survey; without info it is only planned."""
 
     index: int
     path: Path
-    info: RasterInfo
+    info: RasterInfo | None
     camera: Camera
+
+    @property
+    def name(self) -> str:
+        """Name of the photograph in the survey: of the file without extension."""
+        plain = self.info is None and self.path.suffix.lower() not in _IMAGE_SUFFIXES
+        return self.path.name if plain else self.path.stem
+
+
+def planned_candidates(
+    file: ProjectFile, path: Path, written: WrittenOrientations, cameras: Mapping[str, Camera]
+) -> list[Candidate]:
+    """Every row of the orientation table as a photograph that is not taken yet."""
+    rows = enumerate(written.names)
+    return [
+        Candidate(k, Path(name), None, _camera_of(k, file, path, written, cameras, None)) for k, name in rows
+    ]
 
 
 def find_candidates(
@@ -51,13 +70,15 @@ def _of_one_kind(
     candidates: list[Candidate], products: ProductsSection, problems: list[PhotoProblem]
 ) -> list[Candidate]:
     """Candidates that can share a product: bands that are asked for, else as many and of the same type."""
-    kinds = Counter((len(c.info.colour_bands), c.info.dtype.name) for c in candidates)
+    kinds = Counter((len(c.info.colour_bands), c.info.dtype.name) for c in candidates if c.info is not None)
     if not kinds:
         return []
     (bands, dtype), _ = kinds.most_common(1)[0]
     kept = []
     for candidate in candidates:
         info = candidate.info
+        if info is None:
+            continue
         rule, value = "", ""
         if products.bands is not None and max(products.bands) > info.bands:
             rule, value = f"must have band {max(products.bands)} (products.bands)", f"{info.bands} bands"
@@ -78,7 +99,7 @@ def _camera_of(
     path: Path,
     written: WrittenOrientations,
     cameras: Mapping[str, Camera],
-    info: RasterInfo,
+    info: RasterInfo | None,
 ) -> Camera:
     known = cameras or written.camera_values
     if not known:
@@ -94,12 +115,12 @@ def _camera_of(
         camera = known[wanted]
     else:
         # Without a name the size decides, where only one camera has it.
-        sized = [camera for camera in known.values() if camera.size_px == info.size]
+        sized = [camera for camera in known.values() if info is not None and camera.size_px == info.size]
         if len(sized) != 1:
             rule = f"must name its camera, one of {', '.join(known)}"
             raise OrientationError(rule, file=written.source, field=written.names[index], value=wanted)
         camera = sized[0]
-    if info.size != camera.size_px:
+    if info is not None and info.size != camera.size_px:
         raise ImageError(
             f"must have the {camera.size_px[0]} x {camera.size_px[1]} pixels of camera {camera.name}",
             file=info.path,

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from stereomate.camera.model import Camera
 from stereomate.coverage.survey import Survey
 from stereomate.errors import InputError, ProjectError
+from stereomate.formats.law_table import read_law_table
 from stereomate.frames.crs import datum_note
 from stereomate.frames.heights import HeightSystem
 from stereomate.frames.mapframe import MapFrame
 from stereomate.frames.transform import map_from_map
 from stereomate.project.cameras import camera_from_section
-from stereomate.project.candidates import find_candidates
+from stereomate.project.candidates import Candidate, find_candidates, planned_candidates
 from stereomate.project.compare import Comparison, compare_orientations
 from stereomate.project.inputs import InputFile, PhotoProblem, file_digest, photo_fingerprint
 from stereomate.project.model import Project
@@ -29,6 +30,7 @@ from stereomate.project.orientations import (
     read_orientations,
     tangent_frame_for,
 )
+from stereomate.project.photos import any_photo_there
 from stereomate.project.placing import Placed, place_photographs, suspicious_angles
 from stereomate.project.reading import read_project_file
 from stereomate.project.schema import UNDECLARED, ProductsSection, ProjectFile
@@ -38,11 +40,11 @@ from stereomate.rectify.options import RectifyOptions
 Array = NDArray[np.float64]
 LOG = logging.getLogger(__name__)
 
-_FILES_WITH_DIGEST = ("area", "sheets", "breaklines", "seam_file")
-_FILES_OF_PRODUCTS = {"area", "sheets", "breaklines", "seam_file", "pairs"}
+_FILES_WITH_DIGEST = ("area", "sheets", "breaklines", "seam_file", "law_table")
+_FILES_OF_PRODUCTS = {*_FILES_WITH_DIGEST, "pairs"}
 
 
-def load(path: str | Path, *, strict: bool | None = None) -> Project:
+def load(path: str | Path, *, strict: bool | None = None, planned: bool = False) -> Project:
     """Read a project file and everything it names, but for pixels.
 
     Parameters
@@ -51,6 +53,9 @@ def load(path: str | Path, *, strict: bool | None = None) -> Project:
         The project file.
     strict : bool, optional
         Whether one photograph that cannot take part is an error; ``products.strict`` if absent.
+    planned : bool
+        Where no photograph is there yet, take the orientation table alone: a planned flight. What comes of it
+        can be planned and judged, not made.
 
     Raises
     ------
@@ -67,7 +72,7 @@ def load(path: str | Path, *, strict: bool | None = None) -> Project:
     cameras = cameras_of(file, path, notes)
     written = read_orientations(file.photos, reading)
     notes += written.notes
-    candidates, problems = find_candidates(file, path, written, cameras)
+    candidates, problems = _candidates(file, path, written, cameras, planned, notes)
     tangent = tangent_frame_for(written, frame, file.project.tangent_origin)
     centres = map_from_map(frame, written.frame, written.positions)
     model = open_terrain(file, reading, centres, frame, notes)
@@ -86,7 +91,11 @@ def load(path: str | Path, *, strict: bool | None = None) -> Project:
         path=path,
         name=file.project.name or path.stem,
         survey=survey,
-        infos={photo.name: info for photo, info in zip(placed.photographs, placed.infos, strict=True)},
+        infos={
+            photo.name: info
+            for photo, info in zip(placed.photographs, placed.infos, strict=True)
+            if info is not None
+        },
         heights=model,
         ground=placed.ground,
         options=options,
@@ -105,8 +114,25 @@ def load(path: str | Path, *, strict: bool | None = None) -> Project:
     )
 
 
+def _candidates(
+    file: ProjectFile,
+    path: Path,
+    written: WrittenOrientations,
+    cameras: dict[str, Camera],
+    planned: bool,
+    notes: list[str],
+) -> tuple[list[Candidate], list[PhotoProblem]]:
+    if not planned or any_photo_there(file.photos.files, path.parent):
+        return find_candidates(file, path, written, cameras)
+    notes.append(f"no photograph is there: a flight planned by {written.source.name}")
+    return planned_candidates(file, path, written, cameras), []
+
+
 def _options(section: ProductsSection, path: Path) -> RectifyOptions:
     values = section.model_dump(exclude=_FILES_OF_PRODUCTS)
+    if section.law_table is not None:
+        heights, parallaxes = read_law_table(path.parent / section.law_table)
+        values |= {"law_heights_m": heights, "law_parallaxes_m": parallaxes}
     try:
         return RectifyOptions(**values)
     except ProjectError as error:

@@ -38,6 +38,8 @@ def photo_files(
     ProjectError
         If a pattern matches nothing, or two files have one name.
     """
+    if not patterns:
+        raise ProjectError("must be given", file=project, field="photos.files")
     left_out = tuple(exclude)
     found: dict[Path, None] = {}
     for pattern in [patterns] if isinstance(patterns, str) else patterns:
@@ -57,6 +59,12 @@ def photo_files(
             rule = f"names two photographs alike: {first} and {second}"
             raise ProjectError(rule, file=project, field="photos.files")
     return tuple(files)
+
+
+def any_photo_there(patterns: str | Sequence[str], folder: Path) -> bool:
+    """Whether any pattern matches a file."""
+    every = [patterns] if isinstance(patterns, str) else patterns
+    return any(True for pattern in every for _ in _matches(pattern, folder))
 
 
 def match_names(

@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True, eq=False)
 class Placed:
     photographs: list[Photograph]
-    infos: list[RasterInfo]
+    infos: list[RasterInfo | None]
     ground: GroundUnderBlock | None
     adjustment: GridAdjustment | None
     problems: list[PhotoProblem]
@@ -80,8 +80,10 @@ def place_photographs(
 def _photograph(candidate: Candidate, centre: Array, rotation: Array) -> Photograph:
     x, y, z = (float(value) for value in centre)
     orientation = ExteriorOrientation((x, y, z), rotation)
+    if candidate.info is None:
+        return Photograph(candidate.name, None, candidate.camera, orientation, None)
     time = read_camera_tags(candidate.path).time
-    return Photograph(candidate.path.stem, candidate.path, candidate.camera, orientation, time)
+    return Photograph(candidate.name, candidate.path, candidate.camera, orientation, time)
 
 
 def _looks_at_the_sky(written: WrittenOrientations, candidate: Candidate, elevation: float) -> PhotoProblem:

@@ -166,6 +166,9 @@ def common_pixels(project: Project) -> tuple[tuple[int, ...], str]:
     ProjectError
         If photographs differ, or a band that is asked for is not there.
     """
+    if not project.infos:
+        # a planned flight
+        return (0,), project.options.dtype or "uint8"
     infos = [project.infos[p.name] for p in project.survey.photographs]
     kinds = {(len(info.colour_bands), str(info.dtype)) for info in infos}
     if len(kinds) > 1:

@@ -175,7 +175,7 @@ class OrientationSection(Section):
 class PhotosSection(OrientationSection):
     """``[photos]``."""
 
-    files: str | Names
+    files: str | Names = ()
     exclude: Names = ()
     camera: str | None = None
     compare: OrientationSection | None = None
@@ -279,6 +279,7 @@ class ProductsSection(Section):
     balance: bool = True
     strict: bool = False
     # Files that the loader reads; everything above is a field of RectifyOptions.
+    law_table: str | None = None
     area: str | None = None
     sheets: str | None = None
     breaklines: str | None = None

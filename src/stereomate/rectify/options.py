@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Final, Literal, get_args
 
 from stereomate.errors import ProjectError
 
-LawKind = Literal["logarithmic", "linear", "natural"]
+LawKind = Literal["logarithmic", "linear", "natural", "table"]
 Hidden = Literal["nodata", "fill", "keep"]
 Resampling = Literal["nearest", "bilinear", "cubic", "lanczos"]
 HeightsInterpolation = Literal["bilinear", "cubic"]
@@ -33,6 +34,8 @@ class RectifyOptions:
         Ground sampling distance of the products in units of the map grid.
     law : str
         Parallax law of the stereomate.
+    law_heights_m, law_parallaxes_m : tuple of float or None
+        Of the law "table": heights in the project's system and their parallaxes, both rising.
     base_m, w0_m, reference_m : float or None
         Nominal base, flying height above the reference level, and reference level of the law.
     hidden : str
@@ -84,6 +87,8 @@ class RectifyOptions:
 
     gsd: float | None = None
     law: LawKind = "logarithmic"
+    law_heights_m: tuple[float, ...] | None = None
+    law_parallaxes_m: tuple[float, ...] | None = None
     base_m: float | None = None
     w0_m: float | None = None
     reference_m: float | None = None
@@ -125,8 +130,25 @@ class RectifyOptions:
         _require(
             _finite(self.feather_px) and 0 <= self.feather_px <= 100, "feather_px", "must be 0 to 100", self
         )
+        self._check_law()
         self._check_rotation_and_bounds()
         self._check_encoding()
+
+    def _check_law(self) -> None:
+        heights, parallaxes = self.law_heights_m, self.law_parallaxes_m
+        if self.law != "table":
+            rule = 'has a meaning only with law = "table"'
+            _require(heights is None and parallaxes is None, "law_table", rule, self, self.law)
+            return
+        rule = 'must be given with law = "table": a CSV with height and parallax'
+        _require(heights is not None and parallaxes is not None, "law_table", rule, self, None)
+        assert heights is not None
+        assert parallaxes is not None
+        for values in (heights, parallaxes):
+            rising = len(values) == len(heights) >= 2 and all(map(_finite, values))
+            rising = rising and all(a < b for a, b in pairwise(values))
+            rule = "must be two or more heights with as many parallaxes, both rising"
+            _require(rising, "law_table", rule, self, list(values))
 
     def _check_rotation_and_bounds(self) -> None:
         turned = not isinstance(self.rotation, str)
@@ -165,6 +187,8 @@ class RectifyOptions:
             _require(distinct, "bands", "must be distinct band numbers, counted from 1", self)
 
 
+# The value of the option itself.
+_OWN: Final = object()
 _NOT_NEG: Final = "must be 0 or more"
 _CHOICES: Final[dict[str, Any]] = {
     "law": LawKind,
@@ -178,9 +202,10 @@ _CHOICES: Final[dict[str, Any]] = {
 _INTEGER_RANGES: Final = {"uint8": (0, 255), "uint16": (0, 65535), "int16": (-32768, 32767)}
 
 
-def _require(holds: bool, name: str, rule: str, options: RectifyOptions) -> None:
+def _require(holds: bool, name: str, rule: str, options: RectifyOptions, value: Any = _OWN) -> None:
     if not holds:
-        raise ProjectError(rule, field=f"products.{name}", value=getattr(options, name))
+        shown = getattr(options, name) if value is _OWN else value
+        raise ProjectError(rule, field=f"products.{name}", value=shown)
 
 
 def _finite(value: Any) -> bool:

@@ -254,6 +254,11 @@ def _law(
             weight[m.left] += s
             weight[m.right] += s
         w0 = _weighted_median(centres[:, 2] - reference, weight)
+    if options.law_heights_m is not None and options.law_parallaxes_m is not None:
+        above = [height - reference for height in options.law_heights_m]
+        return ParallaxLaw.from_table(
+            above, options.law_parallaxes_m, base_m=base, w0_m=w0, reference_m=reference
+        )
     return ParallaxLaw(options.law, base, w0, reference)
 
 
