@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from stereomate.errors import InputError
 from stereomate.frames.fixing import ImageRays, fixed_block
 from stereomate.frames.prediction.plan import FlightPlan, simulated_block
+from stereomate.frames.refraction import refraction_corrected
 from stereomate.frames.remedies import GridBlock, cartesian_from_map
 from stereomate.frames.transform import map_from_tangent
 from stereomate.geometry.intersection import Rays, intersect_rays
@@ -66,6 +69,22 @@ def test_without_a_remedy_the_points_are_wrong(world):
         rays.count,
     ).points  # fmt: skip
     assert np.nanmedian((untouched - truth)[:, 2]) > 0.4
+
+
+def test_refraction_is_taken_out_first(world):
+    """As if the observations had been made in a vacuum: corrected with the true heights of their points."""
+    _, block, rays, truth = world
+    p = rays.photo_of
+    heights = block.grid_centres[p, 2], truth[rays.point_of, 2]
+    in_vacuum = refraction_corrected(rays.image, 1.0, block.grid_rotations[p], *heights, "icao")
+    shift = np.abs(in_vacuum - rays.image).max()
+    assert 1e-6 < shift < 1e-4
+    expected = fixed_block(block, replace(rays, image=in_vacuum), "M4").image
+    found = fixed_block(block, rays, "M4", refraction="icao").image
+    # The heights it was taken at are those of refracted rays: 2 cm in 1500 m.
+    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-4 * shift)
+    with pytest.raises(InputError, match="icao, ardc or none"):
+        fixed_block(block, rays, "M4", refraction="moon")
 
 
 def test_what_cannot_be_fixed(world):

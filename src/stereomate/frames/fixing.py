@@ -6,7 +6,7 @@ axes, and whatever the remedy changes: heights (M2), principal distances (M3), i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -16,6 +16,7 @@ from stereomate.errors import InputError
 from stereomate.frames.adjusted import effective_scale_at
 from stereomate.frames.curvature import CurvatureOptions, curvature_corrected
 from stereomate.frames.factors import gauss_radius
+from stereomate.frames.refraction import RefractionModel, refraction_corrected
 from stereomate.frames.remedies import (
     GridBlock,
     cartesian_from_map,
@@ -82,6 +83,7 @@ def fixed_block(
     ground_m: float | None = None,
     *,
     per_image: bool = False,
+    refraction: RefractionModel = "none",
 ) -> FixedBlock:
     """Correct an orientation and its observations by one of the remedies.
 
@@ -96,16 +98,21 @@ def fixed_block(
         Height of the ground or control; the mean of the intersected points if absent.
     per_image : bool
         M3 with the scale of each photograph instead of the block's.
+    refraction : str
+        Atmosphere the observations are freed of first: ``icao``, ``ardc``, or ``none`` (they are free of it, or
+        the software corrects it).
 
     Raises
     ------
     InputError
-        If the remedy is unknown, M2 is asked per image, or no point gives the ground.
+        If the remedy or the atmosphere is unknown, M2 is asked per image, or no point gives the ground.
     """
     if remedy not in REMEDIES:
         raise InputError(f"must be one of {', '.join(REMEDIES)}", field="remedy", value=remedy)
     if per_image and remedy != "M3":
         raise InputError("has a meaning with M3 only: M2 has one scale, M4 none", field="per_image")
+    if refraction != "none":
+        rays = _in_vacuum(block, rays, refraction)
     points = _points_in_grid(block, rays)
     if ground_m is None:
         if not np.isfinite(points).any():
@@ -121,6 +128,23 @@ def fixed_block(
     if remedy == "M2":
         centres = scaled_heights(centres, scale)
     return FixedBlock(remedy, centres, block.grid_rotations, c_factor, scale, ground_m, image, points)
+
+
+def _in_vacuum(block: GridBlock, rays: ImageRays, model: RefractionModel) -> ImageRays:
+    """Observations freed of refraction at the heights of their points."""
+    heights = _points_in_grid(block, rays)[rays.point_of, 2]
+    good = np.isfinite(heights)
+    photo = rays.photo_of[good]
+    image = rays.image.copy()
+    image[good] = refraction_corrected(
+        rays.image[good],
+        1.0,
+        block.grid_rotations[photo],
+        block.grid_centres[photo, 2],
+        heights[good],
+        model,
+    )
+    return replace(rays, image=image)
 
 
 def _points_in_grid(block: GridBlock, rays: ImageRays) -> Array:

@@ -22,6 +22,7 @@ from stereomate.frames.checks import check_coordinates
 from stereomate.frames.fixing import FixedBlock, ImageRays, Remedy, fixed_block
 from stereomate.frames.heights import HeightSystem
 from stereomate.frames.mapframe import MapFrame
+from stereomate.frames.refraction import RefractionModel
 from stereomate.frames.remedies import GridBlock, map_from_cartesian
 from stereomate.frames.tangent import TangentFrame
 from stereomate.frames.transform import map_from_map, tangent_from_map
@@ -56,7 +57,14 @@ class FixedProject:
     words: tuple[str, ...]
 
 
-def fix_project(path: Path, folder: Path, remedy: Remedy, *, per_image: bool = False) -> FixedProject:
+def fix_project(
+    path: Path,
+    folder: Path,
+    remedy: Remedy,
+    *,
+    per_image: bool = False,
+    refraction: RefractionModel = "none",
+) -> FixedProject:
     """Write orientation, camera factors and observations for software that works in the grid.
 
     Heights in all files are ellipsoidal. The orientation has to declare what it means: ``angles`` and
@@ -87,8 +95,10 @@ def fix_project(path: Path, folder: Path, remedy: Remedy, *, per_image: bool = F
         found = project_observations(file, path, written, notes)
         rays = ImageRays(found.point_of, found.photo_of, found.image, len(found.names))
         names = found.names
-    fixed = fixed_block(block, rays, remedy, control_height, per_image=per_image)
+    fixed = fixed_block(block, rays, remedy, control_height, per_image=per_image, refraction=refraction)
     words = _words(fixed)
+    if refraction != "none":
+        words.append(f"refraction ({refraction}) is taken out of the observations: do not correct it again")
     cameras = photo_cameras(file, path, written, [])
     texts = {
         "orientation.csv": _orientation_csv(written, block, fixed, cameras),
