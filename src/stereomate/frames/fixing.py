@@ -99,8 +99,8 @@ def fixed_block(
     per_image : bool
         M3 with the scale of each photograph instead of the block's.
     refraction : str
-        Atmosphere the observations are freed of first: ``icao``, ``ardc``, or ``none`` (they are free of it or
-        the software corrects it).
+        Atmosphere the observations are freed of first: ``icao``, ``ardc``, or ``none`` (they are free of it,
+        or the software corrects it).
 
     Raises
     ------
