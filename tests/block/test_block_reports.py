@@ -79,7 +79,7 @@ def photo_figures(result, k):
 
 
 def check_photos(result, report, centre_shift=0.0, slack=0.0):
-    """All photographs; `slack` in standard deviations, where DBAT stopped early (at 1e-6 of the residuals)."""
+    """All photographs; `slack` in standard deviations, where DBAT stopped early (at 1e-6)."""
     for k in range(21):
         start = report.text.index(f"Photo {k + 1}: ")
         opk, angle_sigma, centre, sigma = photo_figures(result, k)

@@ -120,6 +120,11 @@ class BlockAdjustment:
     notes: tuple[str, ...]
 
     @property
+    def determined_photos(self) -> Mask:
+        """Photographs that observations determine, shape (n,); the others keep their start."""
+        return ~self.solution.lonely
+
+    @property
     def rms_px(self) -> tuple[float, float]:
         """Rms of the image residuals that took part, columns and rows."""
         columns, rows = np.sqrt(np.mean(self.residuals[self.used] ** 2, axis=0)).tolist()

@@ -45,6 +45,8 @@ class Solution:
     converged : bool
     defect : Defect
         What the observations leave open of the datum.
+    lonely : ndarray of bool, shape (n,)
+        Photographs that too few observations determine; they keep their start.
     notes : tuple of str
     """
 
@@ -56,6 +58,7 @@ class Solution:
     damped: int
     converged: bool
     defect: Defect
+    lonely: Mask
     notes: tuple[str, ...]
 
     @property
@@ -128,6 +131,12 @@ def run_loop(
         notes.append(f"datum by inner constraints: open were {', '.join(defect.names())}")
         network = held(network, defect)
     prepared = prepare(network, used)
+    prepared, lonely = _without_lonely(prepared)
+    if lonely.any():
+        names = [name for name, is_one in zip(network.photographs.names, lonely, strict=True) if is_one]
+        notes.append(
+            f"{len(names)} photographs are not determined, too few observations: {', '.join(names[:5])}"
+        )
     start = start_of(network, prepared.layout)
     first = state or start
     first = replace(first, points=fixed_axes_applied(prepared, first.points))
@@ -140,9 +149,37 @@ def run_loop(
     if defect.size:
         final = onto_start(final, start, defect, np.bincount(prepared.point, minlength=len(final.points)) > 0)
     return Solution(
-        loop.prepared, start, final, loop.cost, loop.iterations, loop.damped, loop.converged, defect,
+        loop.prepared, start, final, loop.cost, loop.iterations, loop.damped, loop.converged, defect, lonely,
         (*notes, *loop.notes),
     )  # fmt: skip
+
+
+def _without_lonely(prepared: Prepared) -> tuple[Prepared, Mask]:
+    """Without photographs that too few observations determine: what nothing else observes of them is held."""
+    network = prepared.network
+    n = len(network.photographs.names)
+    placed, turned = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
+    if network.positions is not None:
+        placed[network.positions.photo[np.isfinite(network.positions.sigma).all(axis=1)]] = True
+    if network.attitudes is not None:
+        turned[network.attitudes.photo[np.isfinite(network.attitudes.sigma).all(axis=1)]] = True
+    lonely = np.zeros(n, np.bool_)
+    while True:
+        rays = np.bincount(prepared.photo[prepared.weight[:, 0] > 0.0], minlength=n)
+        free = prepared.free_photo.sum(axis=1)
+        enough = (2 * rays + 3 * placed + 3 * turned >= free) & (turned | (rays >= np.minimum(2, free)))
+        new = ~enough & (free > 0) & ~lonely
+        if not new.any():
+            return prepared, lonely
+        lonely |= new
+        used = np.zeros(len(prepared.order), np.bool_)
+        used[prepared.order] = (prepared.weight[:, 0] > 0.0) & ~lonely[prepared.photo]
+        fixed = network.photographs.fixed
+        held_ones = np.zeros((n, 6), np.bool_) if fixed is None else fixed.copy()
+        held_ones[lonely & ~placed, :3] = True
+        held_ones[lonely & ~turned, 3:] = True
+        photographs = replace(network.photographs, fixed=held_ones)
+        prepared = prepare(replace(network, photographs=photographs), used)
 
 
 def _computable(prepared: Prepared, state: State) -> tuple[Prepared, int]:
@@ -174,6 +211,7 @@ class _Loop:
         self.damping = 0.0
         self.iterations = self.damped = 0
         self.converged = False
+        self.singular = ""
         self.notes: list[str] = []
 
     def run(self) -> None:
@@ -206,6 +244,7 @@ class _Loop:
                 self.damping = max(10.0 * self.damping, _FIRST_DAMPING)
                 self.damped += 1
                 was_singular = True
+                self.singular = self._name(factored.singular)
                 equations = self._built()
                 factored = factor(self.prepared, equations)
             step = solve(self.prepared, equations, factored, self.state, self.width)
@@ -215,10 +254,13 @@ class _Loop:
             if small and self.damping == 0.0:
                 self.converged = True
                 break
+            self.singular = self.singular if was_singular else ""
             stuck = was_singular and step.promised <= 1e-6 * self.cost
             was_singular = False
         if self.converged:
             return
+        if self.singular:
+            raise NotDeterminedError(self.singular + " is not determined")
         self.notes.append(f"not converged after {self.iterations} iterations")
 
     def _is_rounding(self, promised: float) -> bool:

@@ -248,6 +248,7 @@ def statistics_of(
     if solution.defect.size:
         change = inner_constraints(solution, equations, factored)
         photos, point_blocks, by_shared = change.applied(photos, point_blocks, by_shared)
+    photos = np.where(solution.lonely[:, None, None], np.nan, photos)
     cofactors = Covariances(
         photos,
         point_blocks,
