@@ -88,7 +88,7 @@ def test_whatever_the_costs_regions_stay_whole(seed):
         moved = seamlines.improved_regions(overviews, (None,) * 5, label, 1.0)
     assert (np.unique(moved) == np.unique(label)).all()
     for k in np.unique(label):
-        assert scipy.ndimage.label(moved == k)[1] == scipy.ndimage.label(label == k)[1]
+        assert scipy.ndimage.label(moved == k)[1] <= scipy.ndimage.label(label == k)[1]
         assert ((moved == k) & (label == k)).any()
     polygons = region_polygons(moved, 2, (180, 140))
     assert all(p.is_valid for _, p in polygons)

@@ -15,6 +15,7 @@ from stereomate import __version__
 from stereomate.project.accuracy_report import Judgement, accuracy_section, judgements
 from stereomate.project.check_points import CheckPoints, check_points
 from stereomate.project.grid_effects import GridEffect, effects_section, grid_effects
+from stereomate.project.mosaic_report import SEAMS_CAPTION, mosaic_texts
 from stereomate.project.orientation_report import strength_section
 from stereomate.project.orientation_sections import ProjectSectionOptions, sections_of_coverage
 from stereomate.project.run import ProductResult, RunResult
@@ -29,6 +30,7 @@ from stereomate.report.run_figures import (
     residual_figure,
     svg_uri,
 )
+from stereomate.report.seams import seams_figure
 from stereomate.report.stereo_pictures import detail_anaglyph, jpeg_uri, product_pictures
 from stereomate.stereo.agreement import Agreement, ParallaxStatistics
 
@@ -179,6 +181,10 @@ def _product(out: Path, made: ProductResult) -> Section:
         shown.append(
             Picture(svg_uri(law_figure(job)), "Parallax laws over the heights of the product.", "Laws")
         )
+    if made.mosaic is not None:
+        paragraphs += mosaic_texts(made.mosaic, job)
+        if job.seams is not None:
+            shown.append(Picture(svg_uri(seams_figure(job, pictures["ortho"])), SEAMS_CAPTION, "Seams"))
     if made.agreement is not None and files.mate is not None:
         tables.append(_agreement_table(made.agreement))
         shown += _agreement_pictures(out, made, made.agreement)
