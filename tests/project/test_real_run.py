@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -14,6 +15,9 @@ from test_project_schema import FROZEN_1
 
 from stereomate.cli import main
 from stereomate.frames.attitude import AttitudeConvention
+from stereomate.project import load
+from stereomate.project.run import RunOptions, plan
+from stereomate.stereo.agreement import AgreementOptions, measure_agreement
 
 pytestmark = pytest.mark.real
 
@@ -238,6 +242,33 @@ def test_tuniu_is_the_same_orthophoto_from_three_forms_of_its_orientation(data_f
         print(f"{project.parent.name}: {len(blocks)} blocks, largest shift {np.abs(blocks).max():.4f} px")
         assert len(blocks) > 20
         assert np.abs(blocks).max() < bound
+
+
+def moved_camera(job, shift_px):
+    """The job with all image coordinates moved."""
+
+    def moved(photograph):
+        (a, b, c), (d, e, f) = photograph.camera.pixel_from_photo
+        camera = replace(photograph.camera, pixel_from_photo=((a, b, c + shift_px), (d, e, f + shift_px)))
+        return replace(photograph, camera=camera)
+
+    return replace(job, photographs=tuple(moved(p) for p in job.photographs))
+
+
+def test_tuniu_y_parallax_is_that_of_its_camera(data_folder, tmp_path):
+    """What docs/accuracy.md says: a sixth of a pixel in the camera is the y-parallax of the product."""
+    source = data_folder / "odm_tuniu" / "odm_xyz_opk.csv"
+    keys = 'angles = "grid"\nadjusted_in = "space"'
+    project = load(tuniu_project(tmp_path / "table", data_folder, source, keys))
+    (job,) = plan(project, RunOptions(pairs=(("100_0005_0142", "100_0005_0018"),)))[1]
+    options = AgreementOptions(windows=12, points=2400)
+    given, moved = (measure_agreement(j, options).ortho_ortho for j in (job, moved_camera(job, -1.0 / 6.0)))
+    print(
+        f"y-parallax as given {given.median_px[1]:+.3f}, moved {moved.median_px[1]:+.3f}, {given.count} points"
+    )
+    assert min(given.count, moved.count) > 200
+    assert given.median_px[1] < -0.15
+    assert abs(moved.median_px[1]) < 0.5 * abs(given.median_px[1])
 
 
 def test_tuniu_gimbal_differs_by_a_degree_and_check_says_so(data_folder, tmp_path, capsys):

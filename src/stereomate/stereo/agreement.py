@@ -208,20 +208,37 @@ def measure_agreement(job: RectifyJob, options: AgreementOptions | None = None) 
 
 
 def _sample(job: RectifyJob, options: AgreementOptions) -> list[Window]:
-    """The windows to match in, with what the measurement looks at around them."""
+    """The windows to match in, with what the measurement looks at around them.
+
+    Those in which a node of the lattice lies in both photographs of a model come first; where they are too
+    few, those that may show such ground follow.
+    """
     reach = options.reach_px
-    chosen: list[Window] = []
+    sure: list[Window] = []
+    unsure: list[Window] = []
     for core in sample_windows(job.grid.size, options.window_px):
         window = Window(core.col0 - reach, core.row0 - reach, core.cols + 2 * reach, core.rows + 2 * reach)
         ground = ground_of(job, window)
         if ground.is_void:
             continue
-        models = models_of_window(job, ground, camera_nodes(job, ground))
-        if any(model.right >= 0 for model in models):
-            chosen.append(window)
-        if len(chosen) == options.windows:
+        nodes = camera_nodes(job, ground)
+        models = [m for m in models_of_window(job, ground, nodes) if m.right >= 0]
+        height = 0.5 * sum(ground.height_range)
+        shown = _shown_by(job, nodes[..., :3] + height * nodes[..., 3:])
+        if any((shown[m.left] & shown[m.right]).any() for m in models):
+            sure.append(window)
+        elif models:
+            unsure.append(window)
+        if len(sure) == options.windows:
             break
-    return chosen
+    return (sure + unsure)[: options.windows]
+
+
+def _shown_by(job: RectifyJob, points: Floats) -> NDArray[np.bool_]:
+    """Whether points of the camera frames (photographs, ..., 3) lie inside their photographs."""
+    return np.array(
+        [p.camera.image_from_camera(at)[1] for p, at in zip(job.photographs, points, strict=True)]
+    )
 
 
 @dataclass(frozen=True)
