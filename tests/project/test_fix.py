@@ -97,7 +97,7 @@ file = "gcp_ellipsoidal.app"
         '[observations]\nfiles = ["tie_points.mes", "gcp_image.mes"]\n'
     )
     made = fix_project(tmp_path / "project.toml", tmp_path / "fixed", "M4")
-    assert len(made.files) == 3
+    assert len(made.files) == 4
     (tmp_path / "again.toml").write_text(
         common + '[photos]\nfiles = "*.jp2"\norientation = "fixed/orientation.csv"\nangles = "grid"\n'
         '[observations]\nfiles = "fixed/observations.mes"\npoints = "tie_points_world_ellipsoidal.mes"\n'
