@@ -529,3 +529,56 @@ def test_no_serious_accessibility_fault(fresh, product, theme):
     serious = [(v["id"], v["nodes"][0]["html"]) for v in found if v["impact"] in ("serious", "critical")]
     assert serious == []
     page.select_option("#theme", "auto")
+
+
+def test_first_picture_waits_for_little(browser, address, opened):
+    """One tile of each eye and two small records; lattice, heights and layers come after it."""
+    opened.open(address)
+    at, asked = opened.page.evaluate(
+        "[performance.getEntriesByName('first picture')[0].startTime,"
+        " performance.getEntriesByType('resource').map(r => [r.name, r.startTime, r.responseEnd])]"
+    )
+    needed = [name for name, _, end in asked if "/data/" in name and end <= at]
+    assert sum(name.split("?")[0].endswith(".json") for name in needed) == 2
+    assert sum("/ortho/" in name for name in needed) >= 1
+    assert sum("/mate/" in name for name in needed) >= 1
+    print(f"first picture after {at:.0f} ms")
+
+
+@pytest.mark.slow
+def test_orthophoto_alone_and_several_products(browser, survey_folder, product, tmp_path):
+    """A product without stereomate is looked at and read; products of one run are chosen by name."""
+    from run_survey import make
+
+    from stereomate.stereo.product import read_products
+    from stereomate.viewer.site import Site
+
+    make(survey_folder / "project.toml", tmp_path / "out", agreement=False, stereo=False, threads=1)
+    (plain,) = read_products(tmp_path / "out" / "stereo.json")
+    assert plain.files.mate is None
+    site = Site([product, plain])
+    with serving(site) as address:
+        context = browser.new_context(viewport={"width": 800, "height": 600})
+        opened = Opened(context.new_page())
+        opened.page.goto(address)
+        wait(opened.page, "window.stereomate && stereomate.renderer.relief")
+        assert opened.page.locator("#product option").count() == 2
+        names = opened.page.evaluate("stereomate.products.map(p => p.stereo)")
+        assert names == [True, False]
+        page = opened.page
+        page.route("**/data/products.json", lambda route: route.fulfill(json=only_second(site)))
+        page.goto(address)
+        wait(page, "window.stereomate && stereomate.renderer.relief && !stereomate.product.stereo")
+        page.mouse.move(*at_pixel(page, *(0.5 * np.array(plain.job.grid.size))))
+        wait(page, "document.getElementById('readout').textContent.includes('Height of the ground')")
+        page.keyboard.press("p")
+        page.keyboard.press("Enter")
+        assert page.evaluate("stereomate.measurements.items.length") == 0
+        assert opened.errors == []
+        context.close()
+    site.close()
+
+
+def only_second(site):
+    document = json.loads(site.read("data/products.json"))
+    return {**document, "products": document["products"][1:]}

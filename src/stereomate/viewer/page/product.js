@@ -156,6 +156,12 @@ export class Product {
     return this.law.q(h) / this.grid.gsd;
   }
 
+  // Letters of the unit of heights.
+  get heightUnit() {
+    const metres = this.crs.height_unit_m;
+    return metres === 1 ? 'm' : Math.abs(metres - 0.3048) < 1e-9 ? 'ft' : Math.abs(metres - 0.3048) < 1e-6 ? 'us-ft' : `× ${metres} m`;
+  }
+
   mapOf(col, row) {
     return mapOfPixel(this.grid, col, row);
   }

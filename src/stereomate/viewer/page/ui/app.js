@@ -229,6 +229,10 @@ export class App {
     if (this.renderer.draw(this.view, this.phase)) this.dirty = true;
     this.overlay.draw(this.labels);
     this.#failures();
+    if (!this.shown && this.renderer.cache.resident.size >= this.product.tiles.eyes.length) {
+      this.shown = true;
+      performance.mark('first picture');
+    }
     this.renderer.frameTook(performance.now() - started);
     this.frames = (this.frames ?? 0) + 1;
   }

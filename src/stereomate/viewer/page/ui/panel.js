@@ -134,7 +134,7 @@ export class Panel {
 
   #homogeneity() {
     const { app } = this, { layers, product } = app;
-    const height = element('select', { id: 'object-height' }, ...product.homogeneity.map((h, k) => element('option', { value: k }, `${h} m`)));
+    const height = element('select', { id: 'object-height' }, ...product.homogeneity.map((h, k) => element('option', { value: k }, `${h} ${product.heightUnit}`)));
     const threshold = element('input', { type: 'number', id: 'threshold', min: 0, max: 50, step: 1, value: 5 });
     height.addEventListener('change', async () => {
       layers.index = Number(height.value);
@@ -160,10 +160,10 @@ export class Panel {
       parts.push(element('div', {}, title, canvas, element('div', { className: 'ends' }, element('span', {}, low), element('span', {}, high))));
     };
     if (layers.on.has('homogeneity')) {
-      ramp(`Objects of ${product.homogeneity[layers.index]} m, t_x`, (t) => divergingColour(2 * t - 1), '−20 % read too low', '+20 %');
+      ramp(`Objects of ${product.homogeneity[layers.index]} ${product.heightUnit}, t_x`, (t) => divergingColour(2 * t - 1), '−20 % read too low', '+20 %');
     }
-    if (layers.on.has('tints')) ramp('Ground', heightColour, fixed(product.height_range[0], 0), `${fixed(product.height_range[1], 0)} m`);
-    if (layers.on.has('contours') && layers.contourInterval) parts.push(element('div', {}, `Contours every ${layers.contourInterval} m`));
+    if (layers.on.has('tints')) ramp('Ground', heightColour, fixed(product.height_range[0], 0), `${fixed(product.height_range[1], 0)} ${product.heightUnit}`);
+    if (layers.on.has('contours') && layers.contourInterval) parts.push(element('div', {}, `Contours every ${layers.contourInterval} ${product.heightUnit}`));
     if (layers.on.has('lineage')) {
       const seen = new Set(product.lineageMap ?? []);
       for (const n of [...seen].filter(Boolean).sort((a, b) => a - b).slice(0, 24)) {
@@ -203,7 +203,7 @@ export class Panel {
     rows.push(['Residual parallax', `${signed(found.residualPx)} px, y ${signed(found.yParallax / (grid.gsd * grid.unit_m))} px`]);
     rows.push(['Slope', this.#slope(found)]);
     const t = found.homogeneity;
-    if (t) rows.push([`Objects of ${product.homogeneity[this.app.layers.index]} m`, `t_x ${signed(100 * t[0], 1)} %, t_y ${signed(100 * t[1], 1)} %`]);
+    if (t) rows.push([`Objects of ${product.homogeneity[this.app.layers.index]} ${product.heightUnit}`, `t_x ${signed(100 * t[0], 1)} %, t_y ${signed(100 * t[1], 1)} %`]);
     if (Number.isFinite(found.miss)) rows.push(['Rays miss by', `${fixed(found.miss, 3)} m`]);
     rows.push(['Photographs', found.photographs.map((k) => product.photographs[k]?.name ?? '–').join(' | ')]);
     const reasons = reasonsOf(found.flags);
@@ -271,28 +271,29 @@ export class Panel {
   }
 
   shortResult(item) {
-    const r = item.result;
+    const r = item.result, unit = this.app.product.heightUnit;
     if (!r || r.error) return '';
-    if (item.kind === 'point') return r.points[0]?.point ? `${fixed(r.points[0].point[2])} m` : '';
-    if (item.kind === 'height') return Number.isFinite(r.height) ? `${fixed(r.height)} ± ${fixed(r.heightSigma)} m` : '';
+    if (item.kind === 'point') return r.points[0]?.point ? `${fixed(r.points[0].point[2])} ${unit}` : '';
+    if (item.kind === 'height') return Number.isFinite(r.height) ? `${fixed(r.height)} ± ${fixed(r.heightSigma)} ${unit}` : '';
     if (item.kind === 'line') return Number.isFinite(r.onMap) ? `${fixed(r.onMap)} m` : '';
     return Number.isFinite(r.area) ? `${fixed(r.area, 1)} m²` : '';
   }
 
   #long(item) {
-    const r = item.result, lines = [];
+    const r = item.result, lines = [], unit = this.app.product.heightUnit;
     if (!r) return ['…'];
     if (r.error) return [r.error];
     const point = r.points[0];
     if (item.kind === 'point' && point?.point) {
-      lines.push(`E ${fixed(point.point[0])}  N ${fixed(point.point[1])}`, `h ${fixed(point.point[2])} ± ${fixed(point.sigma[2])}`, `law ${fixed(point.lawHeight)}`);
+      lines.push(`E ${fixed(point.point[0])}  N ${fixed(point.point[1])}`, `h ${fixed(point.point[2])} ± ${fixed(point.sigma[2])} ${unit}`, `law ${fixed(point.lawHeight)}`);
     }
     if (item.kind === 'height' && r.points.length === 2) {
-      lines.push(`${fixed(r.height)} ± ${fixed(r.heightSigma)} m`, `law ${fixed(r.lawHeight)} m (${signed(r.lawHeight - r.height)})`, `top beside foot ${fixed(r.leaning)} m`);
+      lines.push(`${fixed(r.height)} ± ${fixed(r.heightSigma)} ${unit}`, `law ${fixed(r.lawHeight)} ${unit} (${signed(r.lawHeight - r.height)})`,
+        `top beside foot ${fixed(r.leaning * this.app.product.grid.unit_m)} m`);
     }
     if (item.kind === 'line' && r.points.length > 1) {
       const first = r.points[0].point, last = r.points[r.points.length - 1].point;
-      lines.push(`${fixed(r.onMap)} ± ${fixed(r.lengthSigma)} m on the map`, `${fixed(r.spatial)} m in space`, `Δh ${first && last ? signed(last[2] - first[2]) : '–'} m`);
+      lines.push(`${fixed(r.onMap)} ± ${fixed(r.lengthSigma)} m on the map`, `${fixed(r.spatial)} m in space`, `Δh ${first && last ? signed(last[2] - first[2]) : '–'} ${unit}`);
     }
     if (item.kind === 'area' && r.points.length > 2) {
       lines.push(`${fixed(r.area, 1)} m² on the map`, `${fixed(r.areaOnGround, 1)} m² on the ground`, `edge ${fixed(r.onMap)} m`,
@@ -302,7 +303,7 @@ export class Panel {
   }
 
   table() {
-    const { measurements, product } = this.app, body = $('table').tBodies[0];
+    const { measurements } = this.app, body = $('table').tBodies[0];
     const focused = document.activeElement?.id;
     body.replaceChildren(...measurements.items.map((item) => {
       const name = element('input', { id: `name-${item.id}`, value: item.name, ariaLabel: `Name of ${item.name}`, maxLength: 80 });
@@ -320,7 +321,7 @@ export class Panel {
       return row;
     }));
     if (focused && /^(name|go|del)-/.test(focused)) $(focused)?.focus();
-    this.#profile(measurements.items.find((item) => item.id === measurements.selected), product);
+    this.#profile(measurements.items.find((item) => item.id === measurements.selected));
   }
 
   #show(item) {
@@ -334,7 +335,7 @@ export class Panel {
   }
 
   #profile(item) {
-    const found = item?.result?.profile;
+    const found = item?.result?.profile, { product } = this.app;
     if (!found || !found.ground.some((p) => Number.isFinite(p[1]))) {
       $('profile').replaceChildren();
       return;
@@ -355,7 +356,7 @@ export class Panel {
     const label = (x, y, text, anchor) => svg('text', { x, y, 'text-anchor': anchor }, text);
     $('profile').replaceChildren(svg('svg', {
       viewBox: `0 0 ${w} ${h}`, role: 'img',
-      'aria-label': `Profile of ${item.name}: ${fixed(far, 0)} m long, heights from ${fixed(low)} to ${fixed(high)} m`,
+      'aria-label': `Profile of ${item.name}: ${fixed(far, 0)} m long, heights from ${fixed(low)} to ${fixed(high)} ${product.heightUnit}`,
     },
     svg('path', { class: 'ground', d: path(found.ground) }), svg('path', { class: 'measured', d: path(found.measured) }),
     label(30, 14, fixed(high, 1), 'end'), label(30, h - 18, fixed(low, 1), 'end'), label(w - 4, h - 4, `${fixed(far, 1)} m`, 'end'),
