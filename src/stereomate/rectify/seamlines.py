@@ -44,20 +44,23 @@ def improved_regions(
     label : (rows, cols)
         A model in every cell.
     """
-    arcs = seam_arcs(label)
-    if not arcs:
+    if (label == label[0, 0]).all():
         return label
     sizes = np.bincount(label.ravel())
     reach = max(4.0, REACH * float(np.sqrt(np.median(sizes[sizes > 0]))))
     for _ in range(ROUNDS):
-        zones, _distance = _zones(arcs, label.shape, reach)
-        arcs = moved_junctions(overviews, models, arcs, zones, reach, scale)
-        around = *_zones(arcs, label.shape, reach), reach
-        arcs = [
+        arcs = seam_arcs(label)
+        zones, distance = _zones(arcs, label.shape, reach)
+        label = _regions_between(moved_junctions(overviews, models, arcs, zones, reach, scale), label)
+        arcs = seam_arcs(label)
+        zones, distance = _zones(arcs, label.shape, reach)
+        around = zones, distance, reach
+        moved = [
             _least_cost(overviews, (models[arc.labels[0]], models[arc.labels[1]]), arc, k, around, scale)
             for k, arc in enumerate(arcs)
         ]
-    return _regions_between(arcs, label)
+        label = _regions_between(moved, label)
+    return label
 
 
 def _zones(arcs: list[Arc], shape: tuple[int, int], reach: float) -> tuple[Labels, Floats32]:
