@@ -12,6 +12,9 @@ from stereomate.cli.georef_audit import audit_dict, print_audit
 from stereomate.cli.output import print_json
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from stereomate.frames.prediction.plan import FlightPlan
     from stereomate.frames.prediction.predict import Prediction
 
 
@@ -28,6 +31,7 @@ _HELP = "Georeferencing in map projections: predict errors, audit an orientation
 
 
 def _predict(
+    context: typer.Context,
     crs: Annotated[str, typer.Option("--crs", help="Map projection of the project, as EPSG:25832.")],
     at: Annotated[str, typer.Option("--at", help="Middle of the block in it: E,N.", metavar="E,N")],
     flying_height: Annotated[float, typer.Option("--flying-height", help="Above ground, metres.")],
@@ -69,26 +73,11 @@ def _predict(
     """
     from stereomate.errors import InputError
     from stereomate.frames.curvature import CurvatureOptions
-    from stereomate.frames.prediction.plan import FlightPlan
     from stereomate.frames.prediction.predict import predict
 
-    x, y = _position(at)
     if expected_mm is not None and not expected_mm > 0.0:
         raise InputError("must be positive", field="--expected-mm", value=expected_mm)
-    plan = FlightPlan(
-        crs=crs,
-        x=x,
-        y=y,
-        flying_height_m=flying_height,
-        ground_m=ground,
-        relief_m=relief,
-        principal_distance_mm=principal_distance_mm,
-        format_mm=format_mm,
-        overlap=overlap / 100.0,
-        sidelap=sidelap / 100.0,
-        heading_deg=heading,
-        tilt_deg=tilt,
-    )
+    plan = _flight_plan(context.params)
     options = CurvatureOptions(plan.radius_m, curvature, level)  # type: ignore[arg-type]
     prediction = predict(plan, None if expected_mm is None else 1e-3 * expected_mm, options)
     if figure is not None:
@@ -99,6 +88,27 @@ def _predict(
         _print_prediction(prediction)
         if figure is not None:
             typer.echo(f"figure: {figure}")
+
+
+def _flight_plan(options: Mapping[str, Any]) -> FlightPlan:
+    """The flight that the options describe."""
+    from stereomate.frames.prediction.plan import FlightPlan
+
+    x, y = _position(options["at"])
+    return FlightPlan(
+        crs=options["crs"],
+        x=x,
+        y=y,
+        flying_height_m=options["flying_height"],
+        ground_m=options["ground"],
+        relief_m=options["relief"],
+        principal_distance_mm=options["principal_distance_mm"],
+        format_mm=options["format_mm"],
+        overlap=options["overlap"] / 100.0,
+        sidelap=options["sidelap"] / 100.0,
+        heading_deg=options["heading"],
+        tilt_deg=options["tilt"],
+    )
 
 
 def _position(text: str) -> tuple[float, float]:
