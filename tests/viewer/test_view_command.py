@@ -34,6 +34,7 @@ def ended(process: subprocess.Popen[str]) -> None:
     assert process.returncode == 0
 
 
+@pytest.mark.slow
 def test_publish_then_view_both(run_folder, tmp_path, capsys):
     out = tmp_path / "my site"
     with pytest.raises(SystemExit) as left:
