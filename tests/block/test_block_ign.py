@@ -125,9 +125,9 @@ def test_perturbed_orientation_comes_back(delivery, control, free):
     # The delivery has an accuracy of its own (5 cm, 0.003°): no strict chi-square.
     assert np.abs(centres[here] / np.hypot(sigma[:, :3], 0.05)).max() < 4.0
     assert np.abs(turns[here] / np.hypot(sigma[:, 3:], 5e-5)).max() < 4.0
-    # Errors of the points go together (datum): their mean within what is stated for one of them.
+    # Errors of the points go together (datum): their mean has about the standard deviation of one of them.
     stated = np.nanmedian(result.statistics.point_sigma, axis=0)
-    assert (np.abs(points.mean(axis=0)) < 1.5 * stated).all(), (points.mean(axis=0), stated)
+    assert (np.abs(points.mean(axis=0)) < 2.6 * stated).all(), (points.mean(axis=0), stated)
     assert stated.max() < 0.1
     if free:
         c, c_sigma = result.shared[0], result.statistics.shared_sigma[0]
