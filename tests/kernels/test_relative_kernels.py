@@ -10,7 +10,8 @@ from stereomate.measurement.kernels.least_squares import CONVERGED, OUTSIDE, mat
 from stereomate.measurement.kernels.matching import two_largest
 from stereomate.measurement.kernels.noise import spline_weights, unit_noise
 from stereomate.relative.kernels.coplanarity import adjust, closure_and_image_derivatives, coplanarity
-from stereomate.relative.kernels.five_point import MAX_SOLUTIONS, five_point, real_roots
+from stereomate.relative.kernels.five_point import MAX_SOLUTIONS, five_point
+from stereomate.relative.kernels.polynomial import real_roots
 from stereomate.relative.kernels.pose import (
     choose_arrangement,
     essential_from_pose,
@@ -19,7 +20,8 @@ from stereomate.relative.kernels.pose import (
     solve_five,
     tangents,
 )
-from stereomate.relative.kernels.robust import draw_five, draw_subset, robust_pose
+from stereomate.relative.kernels.robust import robust_pose
+from stereomate.relative.kernels.sampling import draw_five, draw_subset
 
 
 def turned(angle: float) -> np.ndarray:

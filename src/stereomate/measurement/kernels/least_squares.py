@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stereomate.geometry.kernels import solve_symmetric
 from stereomate.jit import kernel
 from stereomate.measurement.kernels.noise import spline_weights, unit_noise
 
@@ -21,6 +22,8 @@ Ints = NDArray[np.int64]
 Image = NDArray[Any]
 
 UNKNOWNS = 8
+# Smallest square pivot of the scaled normal equations.
+_SINGULAR = 1e-9
 # States of a match.
 CONVERGED = 0
 OUTSIDE = 1
@@ -67,47 +70,6 @@ def spline_with_gradient(
         by_x += wy[j] * slope
         by_y += dy[j] * row
     return value, by_x, by_y, True
-
-
-@kernel
-def _solve(normal: Array, rhs: Array, solution: Array, inverse: Array) -> bool:
-    """Cholesky solution and inverse of a scaled symmetric system; False if singular."""
-    n = normal.shape[0]
-    scale = np.empty(n)
-    for i in range(n):
-        if not normal[i, i] > 0.0:
-            return False
-        scale[i] = 1.0 / np.sqrt(normal[i, i])
-    lower = np.zeros((n, n))
-    for i in range(n):
-        for j in range(i + 1):
-            s = normal[i, j] * scale[i] * scale[j]
-            for k in range(j):
-                s -= lower[i, k] * lower[j, k]
-            if i == j:
-                if not s > 1e-9:
-                    return False
-                lower[i, i] = np.sqrt(s)
-            else:
-                lower[i, j] = s / lower[j, j]
-    column = np.empty(n)
-    for c in range(n + 1):
-        for i in range(n):
-            s = rhs[i] * scale[i] if c == n else (1.0 if i == c else 0.0)
-            for k in range(i):
-                s -= lower[i, k] * column[k]
-            column[i] = s / lower[i, i]
-        for i in range(n - 1, -1, -1):
-            s = column[i]
-            for k in range(i + 1, n):
-                s -= lower[k, i] * column[k]
-            column[i] = s / lower[i, i]
-        for i in range(n):
-            if c == n:
-                solution[i] = column[i] * scale[i]
-            else:
-                inverse[i, c] = column[i] * scale[i] * scale[c]
-    return True
 
 
 @kernel
@@ -274,7 +236,7 @@ def match_patch(
         out[2] = iteration + 1
         if not _normal_equations(patch, right, radius, p, normal, rhs, sums):
             return OUTSIDE
-        if not _solve(normal, rhs, step, inverse):
+        if not solve_symmetric(normal, rhs, step, inverse, _SINGULAR):
             return NO_TEXTURE
         way = max(abs(step[0]), abs(step[3]))
         turn = 0.0
@@ -294,7 +256,7 @@ def match_patch(
             break
     if not _normal_equations(patch, right, radius, p, normal, rhs, sums):
         return OUTSIDE
-    if not _solve(normal, rhs, step, inverse):
+    if not solve_symmetric(normal, rhs, step, inverse, _SINGULAR):
         return NO_TEXTURE
     variance = sums[0] / (count - UNKNOWNS)
     out[0] = _correlation(sums, count)

@@ -8,13 +8,15 @@ from numpy.typing import NDArray
 from stereomate.jit import kernel
 from stereomate.relative.kernels.coplanarity import adjust
 from stereomate.relative.kernels.five_point import MAX_SOLUTIONS, five_point
+from stereomate.relative.kernels.mixture import square_distance
 from stereomate.relative.kernels.pose import (
     choose_arrangement,
     essential_from_pose,
     pose_from_essential,
     share_behind,
 )
-from stereomate.relative.kernels.robust import MOST_BEHIND, draw_five, square_distance
+from stereomate.relative.kernels.robust import MOST_BEHIND
+from stereomate.relative.kernels.sampling import draw_five
 
 Array = NDArray[np.float64]
 Words = NDArray[np.uint64]

@@ -85,6 +85,57 @@ def closure_variance(cl: Array, cr: Array, dlx: float, dly: float, drx: float, d
     return variance
 
 
+# Lower triangle of the normal equations row by row, then the right side: kept in registers in the loop.
+Sums = tuple[
+    float, float, float, float, float, float, float, float, float, float,
+    float, float, float, float, float, float, float, float, float, float,
+]  # fmt: skip
+NO_SUMS: Sums = (
+    0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+    0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+)  # fmt: skip
+
+
+@kernel
+def add_condition(s: Sums, p: float, f: float, a0: float, a1: float, a2: float, a3: float, a4: float) -> Sums:
+    """Sums of the normal equations with one more condition of closure f, derivatives a and weight p."""
+    p0, p1, p2, p3, p4 = p * a0, p * a1, p * a2, p * a3, p * a4
+    return (
+        s[0] + p0 * a0,
+        s[1] + p1 * a0,
+        s[2] + p1 * a1,
+        s[3] + p2 * a0,
+        s[4] + p2 * a1,
+        s[5] + p2 * a2,
+        s[6] + p3 * a0,
+        s[7] + p3 * a1,
+        s[8] + p3 * a2,
+        s[9] + p3 * a3,
+        s[10] + p4 * a0,
+        s[11] + p4 * a1,
+        s[12] + p4 * a2,
+        s[13] + p4 * a3,
+        s[14] + p4 * a4,
+        s[15] - p0 * f,
+        s[16] - p1 * f,
+        s[17] - p2 * f,
+        s[18] - p3 * f,
+        s[19] - p4 * f,
+    )
+
+
+@kernel
+def write_normal(s: Sums, normal: Array, rhs: Array) -> None:
+    """Both triangles of the normal equations (5, 5) and their right side from the sums."""
+    k = 0
+    for i in range(5):
+        for j in range(i + 1):
+            normal[i, j] = s[k]
+            normal[j, i] = s[k]
+            k += 1
+        rhs[i] = s[15 + i]
+
+
 @kernel
 def gauss_helmert_pass(
     left: Array,
@@ -110,9 +161,7 @@ def gauss_helmert_pass(
     step_r = 1 if cov_right.shape[0] > 1 else 0
     normal[:] = 0.0
     rhs[:] = 0.0
-    n00 = n10 = n11 = n20 = n21 = n22 = n30 = n31 = n32 = n33 = 0.0
-    n40 = n41 = n42 = n43 = n44 = 0.0
-    h0 = h1 = h2 = h3 = h4 = 0.0
+    sums = NO_SUMS
     total = 0.0
     for i in range(left.shape[0]):
         cl, cr = cov_left[i * step_l], cov_right[i * step_r]
@@ -135,34 +184,8 @@ def gauss_helmert_pass(
         f += dlx * v0 + dly * v1 + drx * v2 + dry * v3
         p /= closure_variance(cl, cr, dlx, dly, drx, dry) + 1e-300
         total += p * f * f
-        n00 += p * a0 * a0
-        n10 += p * a1 * a0
-        n11 += p * a1 * a1
-        n20 += p * a2 * a0
-        n21 += p * a2 * a1
-        n22 += p * a2 * a2
-        n30 += p * a3 * a0
-        n31 += p * a3 * a1
-        n32 += p * a3 * a2
-        n33 += p * a3 * a3
-        n40 += p * a4 * a0
-        n41 += p * a4 * a1
-        n42 += p * a4 * a2
-        n43 += p * a4 * a3
-        n44 += p * a4 * a4
-        p *= f
-        h0 -= p * a0
-        h1 -= p * a1
-        h2 -= p * a2
-        h3 -= p * a3
-        h4 -= p * a4
-    normal[0, 0], normal[1, 1], normal[2, 2], normal[3, 3], normal[4, 4] = n00, n11, n22, n33, n44
-    normal[1, 0], normal[2, 0], normal[2, 1], normal[3, 0], normal[3, 1] = n10, n20, n21, n30, n31
-    normal[3, 2], normal[4, 0], normal[4, 1], normal[4, 2], normal[4, 3] = n32, n40, n41, n42, n43
-    for i in range(5):
-        for j in range(i):
-            normal[j, i] = normal[i, j]
-    rhs[0], rhs[1], rhs[2], rhs[3], rhs[4] = h0, h1, h2, h3, h4
+        sums = add_condition(sums, p, f, a0, a1, a2, a3, a4)
+    write_normal(sums, normal, rhs)
     return total
 
 

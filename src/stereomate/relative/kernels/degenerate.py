@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.jit import kernel
-from stereomate.relative.kernels.robust import square_distance
+from stereomate.relative.kernels.mixture import square_distance
 
 Array = NDArray[np.float64]
 
