@@ -25,6 +25,7 @@ from stereomate.stereo.product import StereoProduct
 from stereomate.viewer.binary import decode_floats, encode_floats
 from stereomate.viewer.imagery import Stretch, stretch_of
 from stereomate.viewer.lattice import measuring_lattice
+from stereomate.viewer.points import read_points
 from stereomate.viewer.publish import is_site, publish
 from stereomate.viewer.server import PublishedFolder
 from stereomate.viewer.site import Site, SiteOptions
@@ -266,7 +267,16 @@ def test_points_are_read_and_refused(product, tmp_path):
     (point,) = json.loads(site.read("data/0/product.json"))["points"]
     assert point["pixel"] == pytest.approx([10.0, 20.0])
     assert point["type"] == "check"
+    assert "residual" not in point
     site.close()
+    # residuals of its own, or those that the report of the run states for points of these names
+    path.write_text(f"name,x,y,z,vx,vy,vz\nA,{x},{y},12.5,0.01,-0.02,0.03\n")
+    assert read_points(path, product.job, tmp_path)[0]["residual"] == [0.01, -0.02, 0.03]
+    path.write_text(f"name,x,y,z\nA,{x},{y},12.5\n")
+    known = [{"name": "A", "difference_m": [0.1, 0.2, 0.3]}, {"name": "B", "difference_m": [None, None, 0.3]}]
+    record = {"format": 1, "kind": "stereomate report", "accuracy": {"check_points": {"points": known}}}
+    (tmp_path / "report.json").write_text(json.dumps(record))
+    assert read_points(path, product.job, tmp_path)[0]["residual"] == [0.1, 0.2, 0.3]
     path.write_text("name,x,y,z\nA,1,2,high\n")
     with pytest.raises(FormatError, match="row 1: z"):
         Site([product], SiteOptions(points=path)).read("data/0/product.json")

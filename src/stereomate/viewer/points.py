@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from stereomate.errors import FormatError
+from stereomate.project.run_record import read_run_record
 from stereomate.rectify.job import RectifyJob
 
 _NEEDED = ("name", "x", "y", "z")
@@ -18,8 +19,20 @@ _NEEDED = ("name", "x", "y", "z")
 _RESIDUALS = ("vx", "vy", "vz")
 
 
-def read_points(path: Path | None, job: RectifyJob) -> list[dict[str, Any]]:
+def residuals_of_run(folder: Path) -> dict[str, list[float]]:
+    """Intersection minus given, metres, of the check points in the report of a run; empty without one."""
+    path = folder / "report.json"
+    if not path.is_file():
+        return {}
+    checked = read_run_record(path).get("accuracy", {}).get("check_points")
+    points = checked["points"] if checked else []
+    return {p["name"]: p["difference_m"] for p in points if None not in p["difference_m"]}
+
+
+def read_points(path: Path | None, job: RectifyJob, folder: Path) -> list[dict[str, Any]]:
     """Points of a CSV with the columns name, x, y, z, perhaps type, and perhaps residuals vx, vy, vz, metres.
+
+    Without columns of residuals, those of the run's own check points of these names are taken.
 
     Raises
     ------
@@ -39,6 +52,7 @@ def read_points(path: Path | None, job: RectifyJob) -> list[dict[str, Any]]:
             f"must have the columns {', '.join(_NEEDED)}", file=path, field="columns", value=list(rows[0])
         )
     found = []
+    known = residuals_of_run(folder)
     for k, row in enumerate(rows):
         values = [_number(path, k, key, row) for key in ("x", "y", "z")]
         pixel = job.grid.pixel_from_map(np.array(values[:2]))
@@ -50,6 +64,8 @@ def read_points(path: Path | None, job: RectifyJob) -> list[dict[str, Any]]:
         }
         if set(_RESIDUALS) <= set(row):
             point["residual"] = [_number(path, k, key, row) for key in _RESIDUALS]
+        elif row["name"] in known:
+            point["residual"] = known[row["name"]]
         found.append(point)
     return found
 

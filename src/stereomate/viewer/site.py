@@ -107,7 +107,7 @@ class ProductSource:
                 "eyes": [eye for eye in ("ortho", "mate") if eye in self._paths],
                 "stretch": {"low": self._stretch.low, "high": self._stretch.high},
             },
-            "points": read_points(self.options.points, self.product.job),
+            "points": read_points(self.options.points, self.product.job, self.product.folder),
             "title": self.options.title,
             "credits": self.options.credits,
         }

@@ -163,7 +163,8 @@ export class Layers {
       const shape = { places: [place], marker: p.type === 'check' ? 'square' : 'triangle', colour: [0.6, 1, 1], width: 2, label: p.name };
       if (!p.residual) return [shape];
       // residuals a thousand times too large, so that they are seen
-      const end = this.product.pixelOf(p.map[0] + 1000 * p.residual[0], p.map[1] + 1000 * p.residual[1]);
+      const times = 1000 / this.product.grid.unit_m;
+      const end = this.product.pixelOf(p.map[0] + times * p.residual[0], p.map[1] + times * p.residual[1]);
       return [shape, { places: [place, [...end, p.map[2]]], colour: [1, 0.6, 0.6], width: 2.5 }];
     });
   }

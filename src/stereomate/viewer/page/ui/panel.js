@@ -164,6 +164,9 @@ export class Panel {
     }
     if (layers.on.has('tints')) ramp('Ground', heightColour, fixed(product.height_range[0], 0), `${fixed(product.height_range[1], 0)} ${product.heightUnit}`);
     if (layers.on.has('contours') && layers.contourInterval) parts.push(element('div', {}, `Contours every ${layers.contourInterval} ${product.heightUnit}`));
+    if (layers.on.has('points') && product.points.some((p) => p.residual)) {
+      parts.push(element('div', {}, 'Triangles control, squares check points; residuals in plan 1000 times larger'));
+    }
     if (layers.on.has('lineage')) {
       const seen = new Set(product.lineageMap ?? []);
       for (const n of [...seen].filter(Boolean).sort((a, b) => a - b).slice(0, 24)) {
