@@ -2,7 +2,7 @@
 
 Stages: features, pairs, tie points, start, refinement, adjustment, documents. Measurements are kept in a
 database inside the output folder as they are made; a run that was killed goes on from there and gives the
-same bytes. The database stays: other programs read it, and a project that changed a little is oriented quickly.
+same bytes. The database stays: other programs read it, and a changed project is oriented quickly.
 """
 
 from __future__ import annotations

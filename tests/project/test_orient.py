@@ -1,0 +1,184 @@
+"""`stereomate orient`: from pixels to an oriented block, resumed where it was killed, wrong input named."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+from run_survey import write_tiny
+
+from stereomate.errors import NotDeterminedError, ProjectError
+from stereomate.project import load
+from stereomate.project.orient import OrientOptions, OrientResult, orient
+from stereomate.project.orient_files import ORIENTATION, TABLES
+from stereomate.project.orient_report import write_orient_report
+
+SAME = ("adjustment.json", ORIENTATION, "oriented.toml", *TABLES)
+STAGES = ("features", "pairs", "tie points", "start", "refinement", "adjustment")
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six rendered photographs in two strips; the project file has their true orientation as its table."""
+    folder = tmp_path_factory.mktemp("survey")
+    path = write_tiny(folder, strips=2, size_px=(480, 360), control_points=0)
+    with path.open("a", encoding="utf-8") as file:
+        file.write('\n[orient]\ncalibrate = "none"\nposition_sigma_m = [0.1, 0.1, 0.1]\n')
+    return path
+
+
+@pytest.fixture(scope="module")
+def whole(survey: Path, tmp_path_factory: pytest.TempPathFactory) -> OrientResult:
+    """A run that went through."""
+    out = tmp_path_factory.mktemp("whole")
+    return orient(survey, out, documents=lambda result: [write_orient_report(result)])
+
+
+def test_rendered_photographs_are_oriented_to_the_truth(survey: Path, whole: OrientResult) -> None:
+    summary = whole.record["summary"]
+    assert summary["oriented"] == summary["photographs"] == 6
+    assert summary["converged"]
+    assert summary["image_rms_px"]["columns"] < 0.3
+    truth = load(survey).survey
+    assert whole.project_file is not None
+    found = load(whole.project_file).survey
+    assert [p.name for p in found.photographs] == [p.name for p in truth.photographs]
+    for one, other in zip(found.photographs, truth.photographs, strict=True):
+        turn = one.orientation.object_from_camera.T @ other.orientation.object_from_camera
+        angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))
+        # A pixel of this camera is 0.5 m on the ground and 0.11 degrees.
+        assert angle < 0.05, one.name
+        shift = np.array(one.orientation.centre) - np.array(other.orientation.centre)
+        assert np.abs(shift).max() < 0.3, one.name
+    assert (whole.out / "orient.html").is_file()
+
+
+def test_stated_accuracy_holds(survey: Path, whole: OrientResult) -> None:
+    """Centres are off the truth by what their standard deviations say (chi-square over 18 values, 0.1 %)."""
+    truth = {p.name: np.array(p.orientation.centre) for p in load(survey).survey.photographs}
+    assert whole.adjusted is not None
+    result = whole.adjusted.result
+    assert result.statistics is not None
+    names = result.network.photographs.names
+    sigma = result.statistics.photo_sigma[:, :3] / result.statistics.scale
+    standardized = (result.centres - np.array([truth[name] for name in names])) / sigma
+    # The table holds the truth itself, not a measurement of it: too good, never too bad.
+    assert float(np.sum(standardized**2)) < 42.3
+
+
+def killer(stage: str, at: int | None) -> Callable[[str, int, int], None]:
+    """Progress that stops the run as Ctrl-C does: when a stage is finished, or at a number of it."""
+
+    def progress(name: str, done: int, total: int) -> None:
+        if name == stage and done == (total if at is None else at):
+            raise KeyboardInterrupt
+
+    return progress
+
+
+def test_killed_at_every_boundary_and_within_the_longest_stages_it_gives_the_same_bytes(
+    survey: Path, whole: OrientResult, tmp_path: Path
+) -> None:
+    """One folder, killed again and again: nothing finished is lost, nothing half is left."""
+    kills = [("features", 3), ("features", None), ("pairs", 5), ("pairs", None), ("refinement", 2)]
+    kills += [(stage, None) for stage in ("tie points", "start", "refinement", "adjustment")]
+    kills.sort(key=lambda kill: (STAGES.index(kill[0]), kill[1] is None))
+    reached: list[tuple[str, int]] = []
+    for stage, at in kills:
+        seen: list[tuple[str, int]] = []
+        stop = killer(stage, at)
+
+        def progress(
+            name: str, done: int, total: int, seen: list[tuple[str, int]] = seen, stop: object = stop
+        ) -> None:
+            seen.append((name, done))
+            stop(name, done, total)  # type: ignore[operator]
+
+        with pytest.raises(KeyboardInterrupt):
+            orient(survey, tmp_path, progress=progress)
+        assert not (tmp_path / "adjustment.json").exists()
+        # Stages begin where the run before was stopped.
+        for name, done in reached:
+            assert next(d for n, d in seen if n == name) >= done, (stage, name)
+        if stage in ("features", "pairs", "refinement"):
+            reached = [entry for entry in reached if entry[0] != stage] + [seen[-1]]
+    orient(survey, tmp_path)
+    for name in SAME:
+        assert (tmp_path / name).read_bytes() == (whole.out / name).read_bytes(), name
+
+
+def test_two_threads_and_a_repeated_run_give_the_same_bytes(
+    survey: Path, whole: OrientResult, tmp_path: Path
+) -> None:
+    orient(survey, tmp_path, OrientOptions(threads=2))
+    for name in SAME:
+        assert (tmp_path / name).read_bytes() == (whole.out / name).read_bytes(), name
+    again = orient(survey, tmp_path, OrientOptions(threads=2))
+    assert again.up_to_date
+    assert again.record == json.loads((whole.out / "adjustment.json").read_text())
+
+
+def changed(survey: Path, folder: Path, **replaced: str) -> Path:
+    """A copy of the survey with texts of its project file replaced."""
+    shutil.copytree(survey.parent, folder / "copy")
+    path = folder / "copy" / survey.name
+    text = path.read_text(encoding="utf-8")
+    for old, new in replaced.items():
+        assert old in text
+        text = text.replace(old, new)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_duplicate_unreadable_and_foreign_photographs_are_left_out_and_named(
+    survey: Path, tmp_path: Path
+) -> None:
+    path = changed(survey, tmp_path)
+    folder = Path(load(survey).survey.photographs[0].path).parent.relative_to(survey.parent)
+    first = sorted((path.parent / folder).glob("*.tif"))[0]
+    shutil.copy(first, first.with_name("zz_twin.tif"))
+    tifffile.imwrite(first.with_name("zz_small.tif"), np.zeros((100, 90, 3), np.uint8), photometric="rgb")
+    first.with_name("zz_broken.tif").write_bytes(first.read_bytes()[:2000])
+    text = path.read_text(encoding="utf-8")
+    lines = text.splitlines()
+    (row,) = [k for k, line in enumerate(lines) if line.startswith("files")]
+    lines[row] = f'files = "{folder.as_posix()}/*.tif"'
+    path.write_text("\n".join(lines), encoding="utf-8")
+    record = orient(path, tmp_path / "out").record
+    reasons = {entry["name"]: entry["reason"] for entry in record["not_oriented"]}
+    assert record["summary"]["oriented"] == 6
+    assert "is the same photograph as" in reasons["zz_twin.tif"]
+    assert "another camera" in reasons["zz_small.tif"]
+    assert "zz_broken.tif" in reasons
+
+
+def test_photographs_that_share_nothing_are_an_error_with_a_reason(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    for k in range(3):
+        image = rng.integers(0, 255, (300, 400, 3), dtype=np.uint8)
+        tifffile.imwrite(tmp_path / f"p{k}.tif", image, photometric="rgb")
+    (tmp_path / "project.toml").write_text(
+        '[project]\ncrs = "EPSG:25832"\nheights = "undeclared"\n[[camera]]\nname = "c"\nsize_px = [400, 300]\n'
+        'principal_distance_px = 400.0\n[photos]\nfiles = "p*.tif"\n',
+        encoding="utf-8",
+    )
+    with pytest.raises(NotDeterminedError, match="no pair of photographs gives a model"):
+        orient(tmp_path / "project.toml", tmp_path / "out")
+    assert not (tmp_path / "out" / "adjustment.json").exists()
+
+
+def test_control_without_measurements_is_refused(survey: Path, tmp_path: Path) -> None:
+    path = changed(survey, tmp_path)
+    (path.parent / "gcp.csv").write_text("name,x,y,z\na,1,2,3\n", encoding="utf-8")
+    with path.open("a", encoding="utf-8") as file:
+        file.write('\n[control]\nfile = "gcp.csv"\n')
+    text = path.read_text(encoding="utf-8")
+    if text.count("[control]") > 1:
+        pytest.skip("the survey has control points of its own")
+    with pytest.raises(ProjectError, match=r"control\.measurements.*must be given"):
+        orient(path, tmp_path / "out")
