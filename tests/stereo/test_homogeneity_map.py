@@ -26,7 +26,7 @@ from stereomate.stereo.kernels.homogeneity import trace_window
 from stereomate.stereo.lineage import LineageRule
 from stereomate.stereo.measure import MeasureOptions, measure
 from stereomate.synthetic.survey import make_survey
-from stereomate.terrain.kernels.rays import block_maxima
+from stereomate.terrain.kernels.rays import sight_bounds
 from stereomate.terrain.model import HeightModel
 
 # A camera that sees everything below it: what the rays do is asked, not where the format ends.
@@ -61,13 +61,15 @@ def trace_cartesian(patch, cell, corner, centres, window, law, object_height, hi
                 (1 - fx) * patch[i + 1, j] + fx * patch[i + 1, j + 1]
             )
     heights[:] = exact
+    in_patch = [((c[0] - corner[0]) / cell, (corner[1] - c[1]) / cell, c[2]) for c in np.asarray(centres)]
+    bounds = np.stack([sight_bounds(patch, *place) for place in in_patch])
     code, parameters = WIDE.kernel_parameters()
     codes, laws = packed_laws((law,))
     out, statistics = np.empty((rows, cols, 4), np.float32), np.zeros((1, 6))
     trace_window(
         heights, np.zeros((rows, cols), np.int16), np.array([0]), np.array([1]), 0.0, 0.0, float(step), 0.0,
         gsd, rays, photo, np.array([code, code]), np.array([parameters, parameters]), surface, patch,
-        block_maxima(patch, 16), 16, 1e-3, np.full(2, hidden, np.uint8), object_height, law.base_m, law.w0_m,
+        bounds, np.arange(2) if hidden else np.full(2, -1), 1e-3, object_height, law.base_m, law.w0_m,
         law.reference_m, codes, laws, 1, out, statistics,
     )  # fmt: skip
     return out, statistics

@@ -167,7 +167,7 @@ def serve_pixels(
         preferred = preferred_models(job, pixels, models, "preferred model")
     if hidden.any():
         ground = _with_way_to_centres(job, ground, nodes[hidden])
-    centres = _centres_in_patch(job, ground)
+    centres = centres_in_patch(job, ground)
     window = pixels.window
     model = scratch("model", (window.rows, window.cols), np.int16)
     sees = scratch("sees", (window.rows, window.cols), np.uint8)
@@ -188,7 +188,7 @@ def serve_pixels(
         np.array([_camera_field(p.camera) for p in job.photographs]),
         ground.surface_nodes,
         ground.patch,
-        _bounds(ground.patch, centres[hidden]),
+        sight_bounds_of(ground.patch, centres[hidden]),
         np.where(hidden, np.cumsum(hidden) - 1, -1),
         HIDDEN_TOLERANCE_M,
         centres,
@@ -258,7 +258,7 @@ def _can_be_hidden(
     return np.asarray(serves & (slope * tangents > 0.95))
 
 
-def _bounds(patch: Floats, centres: Floats) -> Floats:
+def sight_bounds_of(patch: Floats, centres: Floats) -> Floats:
     """`sight_bounds` of each centre, (centres, rows - 1, cols - 1)."""
     rows, cols = patch.shape
     bounds = np.empty((len(centres), max(rows - 1, 0), max(cols - 1, 0)))
@@ -286,7 +286,7 @@ def _with_way_to_centres(job: RectifyJob, ground: Ground, nodes: Floats) -> Grou
     return replace(ground, patch=patch, surface_nodes=surface, patch_origin=(col0, row0))
 
 
-def _centres_in_patch(job: RectifyJob, ground: Ground) -> Floats:
+def centres_in_patch(job: RectifyJob, ground: Ground) -> Floats:
     """Projection centres as (column, row, height) of the height patch."""
     centres = job.centres_in_height_model.copy()
     offset = float(np.mean(ground.surface_nodes[..., 2]))

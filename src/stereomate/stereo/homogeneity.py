@@ -31,12 +31,14 @@ from stereomate.rectify.serving import (
     HIDDEN_TOLERANCE_M,
     Pixels,
     camera_nodes,
+    centres_in_patch,
     models_of_window,
     serve_pixels,
+    sight_bounds_of,
 )
 from stereomate.stereo.kernels import homogeneity as kernels
 from stereomate.stereo.rays import ray_nodes, steepest_tangents
-from stereomate.terrain.kernels.rays import block_maxima, steepest_slope
+from stereomate.terrain.kernels.rays import steepest_slope
 from stereomate.tiles import executor as tiles
 from stereomate.tiles.ledger import Ledger, run_key
 from stereomate.tiles.plan import Chunk, TilePlan
@@ -52,8 +54,6 @@ BANDS: Final = (
 )
 # Laws are compared on every so many rows and columns.
 _STRIDE: Final = 4
-# Blocks of height-model cells that a ray skips at once.
-_RAY_BLOCK: Final = 16
 _MODEL_BLOCK: Final = 512
 # Shares are of |t_x| up to these.
 LIMITS: Final = (0.05, 0.10)
@@ -186,7 +186,8 @@ def homogeneity_window(
     rays = ray_nodes(job, ground)
     tangents = steepest_tangents(rays, ground, object_height_m)
     ground = _widened(job, ground, float(tangents[tangents < 1e6].max(initial=0.0)), object_height_m)
-    slope = steepest_slope(ground.patch, *job.heights.cell_size_m)
+    served = np.isin(np.arange(len(job.photographs)), [p for m in models for p in (m.left, m.right)])
+    hidden = served & (steepest_slope(ground.patch, *job.heights.cell_size_m) * tangents > 0.95)
     cameras = [p.camera.kernel_parameters() for p in job.photographs]
     codes, parameters = packed_laws((job.law, *laws))
     lattice = ground.lattice
@@ -206,10 +207,9 @@ def homogeneity_window(
         np.array([values for _, values in cameras]),
         ground.surface_nodes,
         ground.patch,
-        block_maxima(ground.patch, _RAY_BLOCK),
-        _RAY_BLOCK,
+        sight_bounds_of(ground.patch, centres_in_patch(job, ground)[hidden]),
+        np.where(hidden, np.cumsum(hidden) - 1, -1),
         HIDDEN_TOLERANCE_M,
-        (slope * tangents > 0.95).astype(np.uint8),
         float(object_height_m),
         job.law.base_m,
         job.law.w0_m,

@@ -188,7 +188,9 @@ def intersect_matches(
             points[ROW, m, n] = row
             points[HEIGHT, m, n] = height
             points[ABOVE, m, n] = height - below - _node_value(surface_nodes, 2, xo, yo)
-            points[SIGMA, m, n] = abs(lh) * math.sqrt(max(var, 0.0))
+            # a point above the ground moves less than the ground behind it
+            nearer = 1.0 + (height - h_right) / rh
+            points[SIGMA, m, n] = abs(lh) * nearer * math.sqrt(max(var, 0.0))
             points[MISS, m, n] = gap / math.sqrt(square)
             pairs[0, m, n] = a
             pairs[1, m, n] = b

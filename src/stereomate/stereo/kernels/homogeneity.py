@@ -15,7 +15,7 @@ from stereomate.jit import kernel
 from stereomate.parallax.kernels import height_of_q, q_of_height
 from stereomate.rectify.kernels.surface import lattice_row
 from stereomate.rectify.kernels.warp import camera_point
-from stereomate.terrain.kernels.rays import first_hit, occluded_blockwise
+from stereomate.terrain.kernels.rays import first_hit, occluded_bounded
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -60,6 +60,67 @@ def add_statistics(row: Floats, value: float) -> None:
 
 
 @kernel
+def _tracks(
+    nodes: Floats, x: float, y: float, step: float, place: Floats, by_col: Floats, by_row: Floats
+) -> None:
+    """Position in the patch and height offset at node coordinates, their changes per column and row."""
+    i = min(max(int(x), 0), nodes.shape[1] - 2)
+    j = min(max(int(y), 0), nodes.shape[0] - 2)
+    f, g = x - i, y - j
+    for k in range(3):
+        a, b = nodes[j, i, k], nodes[j, i + 1, k]
+        c, d = nodes[j + 1, i, k], nodes[j + 1, i + 1, k]
+        place[k] = (a + f * (b - a)) + g * ((c + f * (d - c)) - (a + f * (b - a)))
+        by_col[k] = ((b - a) + g * ((d - c) - (b - a))) / step
+        by_row[k] = ((c - a) + f * ((d - b) - (c - a))) / step
+
+
+@kernel
+def _seen_ground(
+    patch: Floats,
+    bounds: Floats,
+    place: Floats,
+    by_col: Floats,
+    by_row: Floats,
+    gsd: float,
+    top: float,
+    ray: tuple[float, float, float],
+    lowest: float,
+    tolerance: float,
+    hit: Floats,
+) -> bool:
+    """Where the ray through the top of an object meets the ground, relative to its foot, as (u, v, h).
+
+    `ray` is the way from the centre to the top in product axes. False where the ground hides the top;
+    `bounds` is empty where nothing can.
+    """
+    a, b, drop = ray
+    dcol = (a * by_col[0] - b * by_row[0]) / gsd
+    drow = (a * by_col[1] - b * by_row[1]) / gsd
+    dh = drop - (a * by_col[2] - b * by_row[2]) / gsd
+    top_dem = top - place[2]
+    if bounds.size > 0 and occluded_bounded(
+        patch, bounds, place[0], place[1], top_dem, place[0] - dcol, place[1] - drow, top_dem - dh, tolerance
+    ):
+        return False
+    t = first_hit(patch, place[0], place[1], top_dem, dcol, drow, dh, (top_dem - lowest + 1.0) / -dh)
+    hit[0] = t * a
+    hit[1] = t * b
+    hit[2] = top + t * drop
+    return True
+
+
+@kernel
+def _lowest(patch: Floats) -> float:
+    lowest = np.inf
+    for i in range(patch.shape[0]):
+        for j in range(patch.shape[1]):
+            if patch[i, j] < lowest:
+                lowest = patch[i, j]
+    return lowest
+
+
+@kernel
 def trace_window(
     heights: Floats32,
     model: NDArray[np.int16],
@@ -76,10 +137,9 @@ def trace_window(
     camera_parameters: Floats,
     surface_nodes: Floats,
     patch: Floats,
-    maxima: Floats,
-    block: int,
+    bounds: Floats,
+    bounds_of: NDArray[np.int64],
     tolerance: float,
-    check_hidden: NDArray[np.uint8],
     object_height: float,
     base: float,
     w0: float,
@@ -106,8 +166,10 @@ def trace_window(
         Camera-frame points, as `rectify.serving.camera_nodes`.
     surface_nodes : (node rows, node cols, 3)
         Position in the patch and offset of its heights.
-    check_hidden : (photographs,)
-        Whether anything in this window can be hidden from the photograph.
+    bounds : (centres, rows - 1, cols - 1)
+        `terrain.kernels.rays.sight_bounds` of the patch.
+    bounds_of : (photographs,)
+        Which of them belongs to a photograph; -1 where nothing in this window can be hidden from it.
     base, w0, reference : float
         Nominal values of the law: they make the ideal parallax.
     codes, parameters : (laws,), (laws, n)
@@ -120,50 +182,29 @@ def trace_window(
     rows, cols = heights.shape
     node_cols = surface_nodes.shape[1]
     photographs = ray_nodes.shape[0]
-    surface_line = np.empty((node_cols, 3))
-    surface_down = np.empty((node_cols, 3))
     ray_lines = np.empty((photographs, node_cols, 3))
     photo_lines = np.empty((photographs, node_cols, 6))
-    highest = np.max(maxima)
-    lowest = np.inf
-    for i in range(patch.shape[0]):
-        for j in range(patch.shape[1]):
-            if patch[i, j] < lowest:
-                lowest = patch[i, j]
-    place = np.empty(3)
-    by_col = np.empty(3)
-    by_row = np.empty(3)
+    lowest = _lowest(patch)
+    place, by_col, by_row = np.empty(3), np.empty(3), np.empty(3)
     hit = np.empty((2, 3))
+    free = np.empty((0, 0))
     for r in range(rows):
         y = (row0 + r + 0.5 - node_row) / step
-        lattice_row(surface_nodes, y, surface_line)
-        above = min(max(int(y), 0), surface_nodes.shape[0] - 2)
-        for i in range(node_cols):
-            for k in range(3):
-                surface_down[i, k] = surface_nodes[above + 1, i, k] - surface_nodes[above, i, k]
         for p in range(photographs):
             lattice_row(ray_nodes[p], y, ray_lines[p])
             lattice_row(photo_nodes[p], y, photo_lines[p])
         for c in range(cols):
             m = model[r, c]
             h = np.float64(heights[r, c])
+            out[r, c, :] = np.nan
             if m < 0 or right_of_model[m] < 0 or h != h:
-                out[r, c, T_X] = np.nan
-                out[r, c, T_Y] = np.nan
-                out[r, c, ERROR] = np.nan
-                out[r, c, SEEN] = np.nan
                 continue
             x = (c + 0.5 - node_col) / step
             i = min(max(int(x), 0), node_cols - 2)
             f = x - i
-            for k in range(3):
-                place[k] = surface_line[i, k] + f * (surface_line[i + 1, k] - surface_line[i, k])
-                by_col[k] = (surface_line[i + 1, k] - surface_line[i, k]) / step
-                by_row[k] = (surface_down[i, k] + f * (surface_down[i + 1, k] - surface_down[i, k])) / step
+            _tracks(surface_nodes, x, y, step, place, by_col, by_row)
             top = h + object_height
-            top_dem = top - place[2]
             seen = 0
-            met = True
             for side in range(2):
                 p = left_of_model[m] if side == 0 else right_of_model[m]
                 line = ray_lines[p]
@@ -173,34 +214,18 @@ def trace_window(
                 px, py, pz = camera_point(photo_lines[p], x, top)
                 _, _, inside = image_from_camera_point(camera_codes[p], camera_parameters[p], px, py, pz)
                 if not inside or not drop < 0.0:
-                    met = False
                     continue
-                dcol = (a * by_col[0] - b * by_row[0]) / gsd
-                drow = (a * by_col[1] - b * by_row[1]) / gsd
-                dh = drop - (a * by_col[2] - b * by_row[2]) / gsd
-                if check_hidden[p] and occluded_blockwise(
-                    patch, maxima, block, place[0], place[1], top_dem, -dcol, -drow, -dh, highest, tolerance
+                sight = bounds[bounds_of[p]] if bounds_of[p] >= 0 else free
+                if _seen_ground(
+                    patch, sight, place, by_col, by_row, gsd, top, (a, b, drop), lowest, tolerance, hit[side]
                 ):
-                    met = False
-                    continue
-                seen += 1 + side
-                t = first_hit(
-                    patch, place[0], place[1], top_dem, dcol, drow, dh, (top_dem - lowest + 1.0) / -dh
-                )
-                hit[side, 0] = t * a
-                hit[side, 1] = t * b
-                hit[side, 2] = top + t * drop
+                    seen += 1 + side
             out[r, c, SEEN] = seen
-            if not met:
-                out[r, c, T_X] = np.nan
-                out[r, c, T_Y] = np.nan
-                out[r, c, ERROR] = np.nan
+            if seen != 3:
                 continue
             du = hit[0, 0] - hit[1, 0]
-            level = h - reference
-            ideal = (
-                base * object_height / (w0 - level - object_height) if w0 - level > object_height else np.nan
-            )
+            room = w0 - (h - reference) - object_height
+            ideal = base * object_height / room if room > 0.0 else np.nan
             residual, error = reading(codes[0], parameters[0], du, hit[1, 2], h, object_height)
             out[r, c, T_X] = residual / ideal - 1.0
             out[r, c, T_Y] = (hit[0, 1] - hit[1, 1]) / ideal
