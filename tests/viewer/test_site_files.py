@@ -7,6 +7,7 @@ import contextlib
 import http.client
 import io
 import json
+import re
 import shutil
 import urllib.error
 import urllib.request
@@ -286,3 +287,10 @@ def test_options_are_checked():
     for bad in ({"format": "gif"}, {"quality": 0}, {"object_heights_m": (0.0,)}):
         with pytest.raises(InputError):
             SiteOptions(**bad)
+
+
+def test_page_preloads_all_its_modules(site):
+    """A browser that finds modules one inside the other waits for each in turn."""
+    text = site.read("index.html").decode()
+    named = set(re.findall(r'<link rel="modulepreload" href="([^"]+)">', text)) | {"main.js"}
+    assert named == {name for name in site.names() if name.endswith(".js")}

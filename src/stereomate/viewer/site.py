@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import re
 import threading
@@ -270,12 +271,15 @@ class Site:
             source.close()
 
 
-def page_names() -> Iterator[str]:
+@functools.cache
+def page_names() -> tuple[str, ...]:
     """Files of the page itself."""
     folder = Path(str(resources.files("stereomate.viewer") / "page"))
-    for path in sorted(folder.rglob("*")):
-        if path.is_file() and path.suffix in (".html", ".css", ".js"):
-            yield path.relative_to(folder).as_posix()
+    return tuple(
+        path.relative_to(folder).as_posix()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.suffix in (".html", ".css", ".js")
+    )
 
 
 def read_page(name: str) -> bytes:
@@ -286,7 +290,7 @@ def read_page(name: str) -> bytes:
     KeyError
         If there is none of that name.
     """
-    if name not in set(page_names()):
+    if name not in page_names():
         raise KeyError(name)
     return (resources.files("stereomate.viewer") / "page" / PurePosixPath(name)).read_bytes()
 
