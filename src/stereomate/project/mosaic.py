@@ -17,7 +17,7 @@ from stereomate.formats.seams import SeamRecord, read_seams, write_seams
 from stereomate.frames.crs import same_crs
 from stereomate.raster.files import storing, write_whole
 from stereomate.rectify.job import RectifyJob
-from stereomate.rectify.mosaic import MosaicSummary, has_choice, plan_mosaics
+from stereomate.rectify.mosaic import MosaicSummary, has_choice, needs_mosaic, plan_mosaics
 from stereomate.rectify.radiometry import BalanceSummary, balance_from_record, balance_record
 from stereomate.rectify.seampolygons import Polygons
 from stereomate.rectify.seams import grained, seams_from_record, seams_record
@@ -48,7 +48,7 @@ def planned_mosaics(
     FormatError
         If the edited seams do not fit the products.
     """
-    if not any(has_choice(job) for job in jobs):
+    if not needs_mosaic(jobs):
         return [(job, None) for job in jobs]
     found = _kept(jobs, kept, key)
     if found is None:

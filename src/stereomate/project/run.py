@@ -18,6 +18,7 @@ from stereomate.coverage.summary import Coverage, survey_coverage
 from stereomate.coverage.survey import Photograph
 from stereomate.errors import ImageError, ProjectError
 from stereomate.project.inputs import file_digest
+from stereomate.project.joins import measured_joins
 from stereomate.project.model import Project
 from stereomate.project.mosaic import planned_mosaics, write_seam_file
 from stereomate.project.output import OutputFolder
@@ -256,8 +257,11 @@ def _run(
     place.note_unreadable(unreadable)
     try:
         results = _make_products(project, jobs, place, key, options, report)
+        joins = measured_joins([r.product.job for r in results]) if options.agreement else []
     finally:
         close_readers()
+    for join in joins:
+        LOG.info("orthophotos of products %r and %r: %s", *join.products, join)
     result = RunResult(out, project, results, coverage, key)
     written = [] if documents is None else list(documents(result))
     if write_seam_file(out / SEAM_FILE, [r.product.job for r in results]):
@@ -274,6 +278,7 @@ def _run(
             "inputs": [{"role": i.role, "file": i.path.name, "digest": i.digest} for i in project.inputs],
             "documents": sorted(path.name for path in written),
             "unreadable": unreadable,
+            "joins": [dataclasses.asdict(join) for join in joins],
             "mosaic": {
                 r.product.job.name: dataclasses.asdict(r.mosaic) for r in results if r.mosaic is not None
             },

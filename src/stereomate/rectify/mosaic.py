@@ -51,12 +51,17 @@ def has_choice(job: RectifyJob) -> bool:
     return stereo > 1 or (stereo == 0 and len(job.models) > 1)
 
 
+def needs_mosaic(jobs: Sequence[RectifyJob]) -> bool:
+    """Whether there are seams to find, or several photographs or products to balance."""
+    return len(jobs) > 1 or any(has_choice(job) for job in jobs)
+
+
 def plan_mosaics(
     jobs: Sequence[RectifyJob],
     executor: Executor | None = None,
     edited: dict[str, Polygons] | None = None,
 ) -> list[tuple[RectifyJob, MosaicSummary | None]]:
-    """The jobs of a block with balance and seams; those without any choice stay as they are.
+    """The jobs of a block with balance and seams; a block with nothing to choose stays as it is.
 
     The balance is one for all products of the block: a photograph is as bright in each of them.
 
@@ -65,17 +70,14 @@ def plan_mosaics(
     edited : dict of str to polygons, optional
         Seams given by the user, by name of the product, instead of least-cost paths.
     """
-    wanted = [job for job in jobs if has_choice(job)]
+    wanted = list(jobs) if needs_mosaic(jobs) else []
     overviews = [make_overviews(job, executor) for job in wanted]
     balances = _balances(wanted, overviews)
-    done: list[tuple[RectifyJob, MosaicSummary | None]] = []
-    for job in jobs:
-        if not has_choice(job):
-            done.append((job, None))
-            continue
-        k = wanted.index(job)
-        done.append(_mosaic(job, overviews[k], balances[k], (edited or {}).get(job.name)))
-    return done
+    if not wanted:
+        return [(job, None) for job in jobs]
+    return [
+        _mosaic(job, overviews[k], balances[k], (edited or {}).get(job.name)) for k, job in enumerate(wanted)
+    ]
 
 
 def _mosaic(
@@ -87,7 +89,7 @@ def _mosaic(
     if balanced is not None:
         overviews = overviews.balanced(balanced[0])
     scale = grey_scale(overviews)
-    if polygons is None and job.options.seams == "least-cost":
+    if polygons is None and has_choice(job) and job.options.seams == "least-cost":
         label = everywhere(best_models(overviews, job))
         if (label >= 0).all():
             label = improved_regions(overviews, job.models, label, scale)
