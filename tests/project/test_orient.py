@@ -28,7 +28,7 @@ def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("survey")
     path = write_tiny(folder, strips=2, size_px=(480, 360), control_points=0)
     with path.open("a", encoding="utf-8") as file:
-        file.write('\n[orient]\ncalibrate = "none"\nposition_sigma_m = [0.1, 0.1, 0.1]\n')
+        file.write('\n[orient]\ncalibrate = "none"\nposition_sigma_m = [0.1, 0.1, 0.1]\nfeatures = 1200\npoints_per_photo = 120\n')
     return path
 
 

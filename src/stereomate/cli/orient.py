@@ -37,14 +37,15 @@ def _orient(
     folder = out if out is not None else project.parent / "orient"
     with log_to_file(folder / "orient.log"), progress_of(settings, as_json) as progress:
         options = OrientOptions(threads=settings.threads, fresh=fresh)
-        result = orient(project, folder, options, progress, _write_documents)
+        result = orient(project, folder, options, progress, write_documents)
     if as_json:
         print_json(result.record)
     elif settings.verbosity >= 0:
         _print_summary(result)
 
 
-def _write_documents(result: OrientResult) -> list[Path]:
+def write_documents(result: OrientResult) -> list[Path]:
+    """Write the report."""
     from stereomate.project.orient_report import write_orient_report
 
     return [write_orient_report(result)]

@@ -40,13 +40,16 @@ def _run(
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was made as JSON.")] = False,
 ) -> None:
-    """Make orthophoto and stereomate of a project. A run that was killed goes on where it stopped."""
+    """Make orthophoto and stereomate of a project. A run that was killed goes on where it stopped.
+
+    Photographs without orientation are oriented first, as by `stereomate orient`.
+    """
     from stereomate.project import load
     from stereomate.project.run import RunOptions, run, summary_record
 
     started = time.monotonic()
     settings: Settings = context.obj
-    loaded = load(project, strict=strict or None)
+    loaded = load(_oriented(project, out, settings, fresh, as_json), strict=strict or None)
     options = RunOptions(
         threads=settings.threads,
         scheduler=scheduler,
@@ -62,6 +65,28 @@ def _run(
         print_json(summary_record(result))
     elif settings.verbosity >= 0:
         print_summary(summary_record(result))
+
+
+def _oriented(project: Path, out: Path, settings: Settings, fresh: bool, as_json: bool) -> Path:
+    """The project file, or that of the oriented photographs where it has no orientation yet."""
+    from stereomate.errors import NotDeterminedError
+    from stereomate.project.reading import read_project_file
+
+    if read_project_file(project).photos.orientation:
+        return project
+    from stereomate.cli.orient import write_documents as write_orient_documents
+    from stereomate.project.orient import OrientOptions, orient
+
+    folder = out / "orient"
+    with log_to_file(folder / "orient.log"), progress_of(settings, as_json) as progress:
+        options = OrientOptions(threads=settings.threads, fresh=fresh)
+        result = orient(project, folder, options, progress, write_orient_documents)
+    if result.project_file is None:
+        raise NotDeterminedError(
+            "the photographs are oriented to each other, but nothing says where they are: products need "
+            "positions or control points"
+        )
+    return result.project_file
 
 
 def write_documents(result: RunResult, started: float) -> list[Path]:

@@ -18,7 +18,7 @@ from stereomate import __version__
 from stereomate.errors import NotDeterminedError
 from stereomate.project.inputs import file_digest
 from stereomate.project.orient_adjust import Adjusted, adjust_measured
-from stereomate.project.orient_files import ADJUSTMENT, ORIENTED, write_results
+from stereomate.project.orient_files import ADJUSTMENT, ORIENTED, write_record, write_results
 from stereomate.project.orient_inputs import OrientInputs, read_orient_inputs
 from stereomate.project.orient_measure import Measured, measure_block
 from stereomate.project.orient_record import OrientedPhotos, adjustment_record, oriented_photos
@@ -132,9 +132,11 @@ def orient(
     record = adjustment_record(inputs, measured, adjusted, photos, key)
     result = OrientResult(out, inputs, record, measured, adjusted, photos)
     tell("documents", 0, 1)
+    # The record goes last: where it is, all is there.
+    write_results(out, inputs, adjusted, photos, record)
     if documents is not None:
         documents(result)
-    write_results(out, inputs, adjusted, photos, record)
+    write_record(out, record)
     tell("documents", 1, 1)
     return result
 

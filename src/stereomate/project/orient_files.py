@@ -21,6 +21,7 @@ from stereomate.frames.transform import map_from_tangent
 from stereomate.project.orient_adjust import Adjusted
 from stereomate.project.orient_inputs import OrientInputs
 from stereomate.project.orient_record import OrientedPhotos
+from stereomate.project.orient_surface import SURFACE, write_tie_surface
 from stereomate.raster.files import write_whole
 
 Array = NDArray[np.float64]
@@ -59,16 +60,26 @@ _MEANINGS: Final = {
 def write_results(
     out: Path, inputs: OrientInputs, adjusted: Adjusted, photos: OrientedPhotos, record: dict[str, Any]
 ) -> list[Path]:
-    """Write everything but the report; adjustment.json is the last, so where it is, all is there."""
+    """Write everything but the report and adjustment.json; what is found out here is added to `record`."""
     written = []
+    surface = None
+    if inputs.file.terrain is None:
+        surface = write_tie_surface(out, inputs, adjusted)
+    if surface is not None:
+        record["findings"].append(surface[1])
+        written.append(surface[0])
     if adjusted.has_datum:
         written += [_orientation(out / ORIENTATION, inputs, photos), out / ORIENTED]
-        write_whole(out / ORIENTED, [oriented_project(inputs, adjusted, out).encode()])
+        write_whole(out / ORIENTED, [oriented_project(inputs, adjusted, surface is not None).encode()])
     written += _tables(out, inputs, adjusted, photos)
     if adjusted.has_datum:
         written.append(_layer(out / "photographs.gpkg", inputs, photos, record))
+    return written
+
+
+def write_record(out: Path, record: dict[str, Any]) -> None:
+    """Write adjustment.json."""
     write_whole(out / ADJUSTMENT, [(json.dumps(record, indent=1, ensure_ascii=False) + "\n").encode()])
-    return [*written, out / ADJUSTMENT]
 
 
 def _orientation(path: Path, inputs: OrientInputs, photos: OrientedPhotos) -> Path:
@@ -144,7 +155,7 @@ def _layer(path: Path, inputs: OrientInputs, photos: OrientedPhotos, record: dic
     return path
 
 
-def oriented_project(inputs: OrientInputs, adjusted: Adjusted, out: Path) -> str:
+def oriented_project(inputs: OrientInputs, adjusted: Adjusted, own_surface: bool) -> str:
     """A project file of the oriented photographs: `stereomate run` goes on from it.
 
     Everything that the first project file says of terrain and products is kept; paths are absolute.
@@ -171,6 +182,8 @@ def oriented_project(inputs: OrientInputs, adjusted: Adjusted, out: Path) -> str
     document["photos"] = {
         "files": oriented, "orientation": ORIENTATION, "angles": "local", "adjusted_in": "space",
     }  # fmt: skip
+    if own_surface:
+        document["terrain"] = {"file": SURFACE}
     document["camera"] = [camera_section(camera) for camera in adjusted.result.cameras]
     return (
         "# Written by stereomate orient: the oriented photographs, their calibrated cameras, and what\n"
