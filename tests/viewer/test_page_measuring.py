@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from browsing import SURVEY, serving
 
-from conftest import SURVEY, serving
 from stereomate.stereo.product import StereoProduct
 from stereomate.viewer.site import Site
 

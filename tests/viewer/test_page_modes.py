@@ -6,10 +6,9 @@ import io
 
 import numpy as np
 import pytest
+from browsing import Opened, serving
 from patterns import PatternSite, pattern
 from PIL import Image
-
-from conftest import Opened, serving
 
 GREY = np.array([0.299, 0.587, 0.114])
 DUBOIS = (

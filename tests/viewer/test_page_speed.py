@@ -11,8 +11,8 @@ import time
 
 import numpy as np
 import pytest
+from browsing import READY, Opened, serving, wait
 
-from conftest import READY, Opened, serving, wait
 from stereomate.viewer.binary import encode_floats
 from stereomate.viewer.imagery import TILE
 

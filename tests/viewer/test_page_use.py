@@ -6,8 +6,8 @@ import json
 
 import numpy as np
 import pytest
+from browsing import Opened, serving, wait
 
-from conftest import Opened, serving, wait
 from stereomate.frames.transform import map_from_tangent, tangent_from_map
 from stereomate.terrain.intersection import ground_distances
 

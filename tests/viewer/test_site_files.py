@@ -16,9 +16,9 @@ import zlib
 import imagecodecs
 import numpy as np
 import pytest
+from browsing import serving
 from PIL import Image
 
-from conftest import serving
 from stereomate.errors import FormatError, InputError
 from stereomate.frames.transform import map_from_map, tangent_from_map
 from stereomate.raster import open_photo
