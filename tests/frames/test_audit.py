@@ -183,6 +183,7 @@ def test_several_errors_at_once(world):
     assert np.abs(result.best.control.mean).max() < 0.01
 
 
+@pytest.mark.slow
 def test_an_error_no_key_can_say_beside_one_that_can(world):
     spoilt = written(world, AttitudeConvention("opk", "grid", "gon"))
     result = result_of(world, replace(spoilt, attitudes=spoilt.attitudes * np.array([1.0, 1.0, -1.0])))
@@ -229,6 +230,7 @@ def test_what_cannot_be_audited(world):
         replace(observations, c_px=np.ones(3))
 
 
+@pytest.mark.slow
 def test_attitudes_that_nothing_explains(world):
     """Attitudes at random: what fits best is not called certain."""
     random = np.random.default_rng(8)

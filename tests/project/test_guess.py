@@ -102,6 +102,7 @@ def test_phi_first_is_found_behind_usual_columns(east):
     assert (found.declared.order, found.declared.axes, found.declared.unit) == ("pok", "grid", "deg")
 
 
+@pytest.mark.slow
 def test_what_no_declaration_can_say_is_named(east):
     folder, _, true = east
     flipped = replace(true, rotations=true.rotations @ np.diag([1.0, -1.0, -1.0]))
