@@ -135,14 +135,14 @@ def build(
                 continue
             k = photo[i]
             c = camera[k]
-            column, row, ok = observe(
+            column, line, ok = observe(
                 model[c], packed[c], centres[k], rotations[k], points[j], free[c], active, jacobian[c],
                 j_photo, j_point, j_camera, scratch,
             )  # fmt: skip
             if not ok:
                 failed += 1
                 continue
-            rx, ry = xy[i, 0] - column, xy[i, 1] - row
+            rx, ry = xy[i, 0] - column, xy[i, 1] - line
             factor, loss = loss_factor(wx * rx * rx + wy * ry * ry, width)
             cost += loss
             wx, wy = wx * factor, wy * factor
@@ -226,16 +226,37 @@ def build(
                 wv_all[a, 1, d] = w0 * vi[0, 1] + w1 * vi[1, 1] + w2 * vi[1, 2]
                 wv_all[a, 2, d] = w0 * vi[0, 2] + w1 * vi[1, 2] + w2 * vi[2, 2]
                 right[at + d] -= w0 * y0 + w1 * y1 + w2 * y2
+            # In registers: what the compiler knows not to be changed by the stores below.
+            v00 = wv_all[a, 0, 0]
+            v01 = wv_all[a, 0, 1]
+            v02 = wv_all[a, 0, 2]
+            v03 = wv_all[a, 0, 3]
+            v04 = wv_all[a, 0, 4]
+            v05 = wv_all[a, 0, 5]
+            v10 = wv_all[a, 1, 0]
+            v11 = wv_all[a, 1, 1]
+            v12 = wv_all[a, 1, 2]
+            v13 = wv_all[a, 1, 3]
+            v14 = wv_all[a, 1, 4]
+            v15 = wv_all[a, 1, 5]
+            v20 = wv_all[a, 2, 0]
+            v21 = wv_all[a, 2, 1]
+            v22 = wv_all[a, 2, 2]
+            v23 = wv_all[a, 2, 3]
+            v24 = wv_all[a, 2, 4]
+            v25 = wv_all[a, 2, 5]
             for other in range(a):
                 before = rows_of[other]
                 for e in range(6):
                     w0, w1, w2 = w_all[other, 0, e], w_all[other, 1, e], w_all[other, 2, e]
-                    target = band[before + e]
-                    shift = at - skew * (before + e)
-                    for d in range(6):
-                        target[shift + d] -= (
-                            wv_all[a, 0, d] * w0 + wv_all[a, 1, d] * w1 + wv_all[a, 2, d] * w2
-                        )
+                    row = before + e
+                    at_row = at - skew * row
+                    band[row, at_row] -= v00 * w0 + v10 * w1 + v20 * w2
+                    band[row, at_row + 1] -= v01 * w0 + v11 * w1 + v21 * w2
+                    band[row, at_row + 2] -= v02 * w0 + v12 * w1 + v22 * w2
+                    band[row, at_row + 3] -= v03 * w0 + v13 * w1 + v23 * w2
+                    band[row, at_row + 4] -= v04 * w0 + v14 * w1 + v24 * w2
+                    band[row, at_row + 5] -= v05 * w0 + v15 * w1 + v25 * w2
             for e in range(6):
                 w0, w1, w2 = w_all[a, 0, e], w_all[a, 1, e], w_all[a, 2, e]
                 target = band[at + e]
@@ -319,13 +340,13 @@ def correct_points(
                 continue
             k = photo[i]
             c = camera[k]
-            column, row, ok = observe(
+            column, line, ok = observe(
                 model[c], packed[c], centres[k], rotations[k], points[j], free[c], active, jacobian[c],
                 j_photo, j_point, j_camera, scratch,
             )  # fmt: skip
             if not ok:
                 continue
-            rx, ry = xy[i, 0] - column, xy[i, 1] - row
+            rx, ry = xy[i, 0] - column, xy[i, 1] - line
             factor, _ = loss_factor(wx * rx * rx + wy * ry * ry, width)
             ex = ey = 0.0
             for a in range(6):
