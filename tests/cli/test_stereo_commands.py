@@ -166,3 +166,94 @@ def test_table_and_diagram(tmp_path):
     assert "-5.00 / 0.00" not in line
     run("homogeneity", "diagram", "--figure", tmp_path / "fig2.svg")
     assert (tmp_path / "fig2.svg").read_text().startswith("<?xml")
+
+
+def planned_flight(files, folder):
+    """The project without any photograph."""
+    folder.mkdir()
+    for path in (files.project, files.heights, files.orientation):
+        shutil.copy(path, folder / path.name)
+    return folder / files.project.name
+
+
+def test_a_planned_flight_needs_no_photographs(made, tmp_path):
+    """Laws and homogeneity from the orientation table alone, the same figures as with the photographs."""
+    _, files, _ = made
+    project = planned_flight(files, tmp_path / "planned")
+    text = run("homogeneity", project, "--object-height", "5", "--out", tmp_path / "a", "--json")
+    planned = json.loads(text[text.index("[") :])[0]
+    text = run("homogeneity", files.project, "--object-height", "5", "--out", tmp_path / "b", "--json")
+    flown = json.loads(text[text.index("[") :])[0]
+    for name in ("area_m2", "seen_by_both", "within_5_percent", "error_rms_m"):
+        assert planned[name] == pytest.approx(flown[name], rel=1e-6)
+    assert "recommended: " in run("laws", project)
+    result = CliRunner().invoke(application(), ["run", str(project), "--out", str(tmp_path / "out")])
+    assert isinstance(result.exception, InputError)
+    assert "photos.files" in str(result.exception)
+
+
+def test_the_fitted_law_is_used_by_a_run(made, tmp_path):
+    """`laws --write` makes a table, `run` takes it, `measure` finds it in stereo.json."""
+    _, files, _ = made
+    folder = tmp_path / "table"
+    shutil.copytree(files.folder, folder, ignore=shutil.ignore_patterns("out"))
+    project = folder / files.project.name
+    run("laws", project, "--write", folder / "law.csv")
+    text = project.read_text().replace('law = "logarithmic"', 'law = "table"\nlaw_table = "law.csv"')
+    project.write_text(text)
+    run("--threads", "1", "--quiet", "run", project, "--out", folder / "out")
+    product = stereomate.StereoProduct.open(folder / "out")
+    assert product.job.law.kind == "table"
+    truth = write_pairs(tmp_path / "pairs.csv", product)
+    pairs = read_measured_pairs(tmp_path / "pairs.csv")
+    found = product.measure(pairs.left, pairs.right)
+    np.testing.assert_allclose(found.points[found.measured], truth[found.measured], atol=2e-4)
+    np.testing.assert_allclose(found.law_heights[found.measured], truth[found.measured, 2], atol=1e-6)
+    project.write_text(text.replace('law_table = "law.csv"', ""))
+    result = CliRunner().invoke(application(), ["check", str(project)])
+    assert isinstance(result.exception, InputError)
+    assert "law_table" in str(result.exception)
+    (folder / "law.csv").write_text("height,parallax\n1,2\n3,1\n")
+    project.write_text(text)
+    result = CliRunner().invoke(application(), ["check", str(project)])
+    assert "rising" in str(result.exception)
+
+
+def pairs_file(path, left, right):
+    rows = np.concatenate([left, right], axis=1)
+    lines = [",".join(str(v) for v in row) for row in rows.tolist()]
+    path.write_text("\n".join(["left_x,left_y,right_x,right_y", *lines]))
+    return path
+
+
+def test_bad_input_by_the_command_line(made, tmp_path):
+    """Outside, nodata, exchanged eyes, an edited raster: a flag or an error that names it."""
+    _, _, out = made
+    product = stereomate.StereoProduct.open(out)
+    write_pairs(tmp_path / "pairs.csv", product)
+    pairs = read_measured_pairs(tmp_path / "pairs.csv")
+    swapped = pairs_file(tmp_path / "swapped.csv", pairs.right, pairs.left)
+    far = pairs_file(tmp_path / "far.csv", pairs.left + 1e5, pairs.right + 1e5)
+    corner = product.job.grid.map_from_pixel([[0.5, 0.5]] * 2)
+    empty = pairs_file(tmp_path / "empty.csv", corner, corner)
+    record = json.loads(run("measure", out, far, "--json"))
+    assert record["summary"]["refused"] == record["summary"]["points"]
+    assert "outside" in record["points"][0]["flags"]
+    record = json.loads(run("measure", out, empty, "--json"))
+    assert "nodata" in record["points"][0]["flags"]
+    job = product.job
+    high = job.law.q(job.height_range[0])
+    if high > 0.1 * job.law.base_m:
+        result = CliRunner().invoke(application(), ["measure", str(out), str(swapped)])
+        assert "exchanged" in str(result.exception)
+    else:
+        record = json.loads(run("measure", out, swapped, "--json"))
+        assert record["summary"]["reliable"] < record["summary"]["points"]
+    folder = tmp_path / "edited"
+    shutil.copytree(out.parent, folder)
+    with rasterio.open(folder / "out" / "mate.tif", "r+", IGNORE_COG_LAYOUT_BREAK="YES") as file:
+        file.update_tags(edited="yes")
+    for command in ("measure", "heights", "terrain"):
+        arguments = [command, str(folder / "out"), *([str(far)] if command == "measure" else [])]
+        result = CliRunner().invoke(application(), arguments)
+        assert "edited or resampled" in str(result.exception)
