@@ -83,8 +83,9 @@ def test_identifiers_are_plain_names(identifier):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
 def test_points_move_in_a_browser(tmp_path):
+    if BROWSER is None:
+        pytest.fail("Chromium is missing: apt-get install chromium (make test does)")
     drawing = section_drawing(SECTION, profile=PROFILE)
     two = interactive_fragment(drawing, "first") + interactive_fragment(section_drawing(SECTION, 3), "second")
     moving = """<p id="log"></p><script>

@@ -32,15 +32,24 @@ def file_digest(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-_SAMPLE = 1 << 16
+# Photographs up to this size are hashed whole, larger ones by so many samples of so many bytes.
+_WHOLE_BYTES = 8 << 20
+_SAMPLES = 64
+_SAMPLE_BYTES = 1 << 16
 
 
 def photo_fingerprint(path: Path) -> str:
-    """SHA-256 of the size and the first, middle and last 64 KiB: tells photographs apart at once."""
+    """SHA-256 of a photograph up to 8 MiB; of a larger one, of its size and 64 samples of it.
+
+    A block of thousands of photographs is told from another in seconds, at 4 MiB read of each.
+    """
     size = path.stat().st_size
     digest = hashlib.sha256(str(size).encode())
     with path.open("rb") as file:
-        for start in sorted({0, max(size // 2 - _SAMPLE // 2, 0), max(size - _SAMPLE, 0)}):
-            file.seek(start)
-            digest.update(file.read(_SAMPLE))
+        if size <= _WHOLE_BYTES:
+            digest.update(file.read())
+        else:
+            for k in range(_SAMPLES):
+                file.seek(k * (size - _SAMPLE_BYTES) // (_SAMPLES - 1))
+                digest.update(file.read(_SAMPLE_BYTES))
     return digest.hexdigest()
