@@ -116,13 +116,15 @@ def camera_from_record(record: Record) -> Camera:
 
 
 def photograph_record(photograph: Photograph, folder: Path) -> Record:
-    """Name, file, camera's name and orientation (tangent frame)."""
+    """Name, file, camera's name, orientation (tangent frame), and time of exposure where it is known."""
+    time = {} if photograph.time is None else {"time_s": photograph.time}
     return {
         "name": photograph.name,
         "file": relative_path(photograph.path, folder),
         "camera": photograph.camera.name,
         "centre": list(photograph.orientation.centre),
         "object_from_camera": photograph.orientation.object_from_camera.tolist(),
+        **time,
     }
 
 
@@ -135,6 +137,7 @@ def photograph_from_record(record: Record, cameras: dict[str, Camera], folder: P
         path=path_from_record(record["file"], folder),
         camera=cameras[record["camera"]],
         orientation=orientation,
+        time=record.get("time_s"),
     )
 
 
