@@ -33,6 +33,8 @@ from stereomate.report.run_figures import (
 from stereomate.report.seams import seams_figure
 from stereomate.report.stereo_pictures import detail_anaglyph, jpeg_uri, product_pictures
 from stereomate.stereo.agreement import Agreement, ParallaxStatistics
+from stereomate.stereo.model_quality import quality_of_agreement
+from stereomate.stereo.product import StereoProduct
 
 NOT_MODELLED = (
     "Atmospheric refraction is not applied to rays unless the camera or the orientation already contains it.",
@@ -187,6 +189,7 @@ def _product(out: Path, made: ProductResult) -> Section:
             shown.append(Picture(svg_uri(seams_figure(job, pictures["ortho"])), SEAMS_CAPTION, "Seams"))
     if made.agreement is not None and files.mate is not None:
         tables.append(_agreement_table(made.agreement))
+        tables += _model_tables(made.product, made.agreement)
         shown += _agreement_pictures(out, made, made.agreement)
     title = "Product" if not job.name else f"Product {job.name}"
     return Section(title, tuple(paragraphs), tuple(tables), tuple(shown))
@@ -238,6 +241,31 @@ def _agreement_table(agreement: Agreement) -> Table:
         "median: neighbours share the error of the height model, so whole blocks are drawn anew for it."
     )
     return Table(headings, tuple(rows), said)
+
+
+# Models with fewer matches are not judged.
+_FEW_MATCHES = 10
+
+
+def _model_tables(product: StereoProduct, agreement: Agreement) -> list[Table]:
+    """How well the rays of each model meet."""
+    rows = [
+        (
+            f"{m.left} – {m.right}",
+            str(m.count),
+            *(f"{v:+.3f}" for v in (m.miss_median_m, m.y_median_m)),
+            *(f"{v:.3f}" for v in (m.miss_rms_m, m.y_rms_m)),
+        )
+        for m in quality_of_agreement(product, agreement)
+        if m.count >= _FEW_MATCHES
+    ]
+    headings = ("model, metres", "matches", "median miss", "median y", "rms miss", "rms y")
+    said = (
+        "Shortest distance of the rays of matched points after lineage: the quality of the orientation, "
+        "whatever the height model. The y-parallax in the product beside it also holds the error of the "
+        "height model."
+    )
+    return [Table(headings, tuple(rows), said)] if rows else []
 
 
 def _with_error(median: float, error: float) -> str:

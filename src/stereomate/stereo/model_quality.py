@@ -13,6 +13,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from stereomate.stereo.agreement import Agreement
+from stereomate.stereo.measure import MeasureOptions
+from stereomate.stereo.product import StereoProduct
+
 Floats = NDArray[np.float64]
 
 NMAD: Final = 1.4826
@@ -61,6 +65,28 @@ def quality_of(names: tuple[str, str], miss: Floats, y_parallax: Floats) -> Mode
         nmad = NMAD * float(np.median(np.abs(values - median)))
         figures += [median, nmad, float(np.sqrt(np.mean(values**2)))]
     return ModelQuality(*names, len(miss), *figures)
+
+
+def quality_of_agreement(product: StereoProduct, agreement: Agreement) -> tuple[ModelQuality, ...]:
+    """Of the models behind the matches of a product's agreement, most matches first."""
+    job, gsd = product.job, product.job.grid.gsd
+    if len(agreement.points) == 0:
+        return ()
+    left = job.grid.uv_from_map(agreement.points)
+    # rows count downwards, v upwards
+    shift = np.stack(
+        [-(agreement.parallaxes + agreement.residuals[:, 0]), agreement.residuals[:, 1]], axis=-1
+    )
+    right = job.grid.map_from_uv(left + gsd * shift)
+    found = product.measure(agreement.points, right, MeasureOptions(check_hidden=False))
+    good = found.measured & np.isfinite(found.miss_m)
+    qualities = []
+    for pair in np.unique(found.photographs[good], axis=0):
+        mine = good & (found.photographs == pair).all(axis=1)
+        names = job.photographs[pair[0]].name, job.photographs[pair[1]].name
+        miss = found.miss_m[mine] * np.where(found.standardized[mine] < 0.0, -1.0, 1.0)
+        qualities.append(quality_of(names, miss, found.y_parallax_m[mine]))
+    return tuple(sorted(qualities, key=lambda q: -q.count))
 
 
 @dataclass(eq=False)
