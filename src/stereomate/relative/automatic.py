@@ -39,8 +39,10 @@ __all__ = [
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# What least-squares matching does not know of its own errors: relief within the window, aliasing.
+# What least-squares matching does not know of its own errors, at the least: relief in the window, aliasing.
 _WINDOW_SIGMA_PX: Final = 0.05
+# Median of the square of a normal variable of unit variance.
+_MEDIAN_OF_SQUARES: Final = 0.4549
 
 
 @dataclass(frozen=True)
@@ -195,25 +197,32 @@ class _Pair:
             reason = f"only {np.count_nonzero(good)} points could be measured by least-squares matching"
             return self._result(found, matches, counts, (reason,), tuple(notes))
         left_px, right_px = measured.left_px[good], measured.right_px[good]
-        floor = np.array([1.0, 0.0, 1.0]) * _WINDOW_SIGMA_PX**2
+        covariance = measured.covariance_px[good]
+        result = self._weighted(left_px, right_px, covariance, _WINDOW_SIGMA_PX, 2.5)
+        if result.determined:
+            # What the noise of the pixels does not explain: unmodelled distortion, relief, moving leaves.
+            unmodelled = _unmodelled_px(result, covariance)
+            notes.append(f"beyond the noise of the pixels: {unmodelled:.2f} px per coordinate")
+            result = self._weighted(left_px, right_px, covariance, unmodelled, 1.0)
+        counts["orientation points"] = int(np.count_nonzero(result.used))
+        reasons = result.reasons or self._doubts(found, result, left_px)
+        return AutomaticOrientation(result, reasons, left_px, right_px, counts, tuple(notes))
+
+    def _weighted(
+        self, left_px: Array, right_px: Array, covariance: Array, floor_px: float, widening: float
+    ) -> RelativeOrientation:
+        """Orientation of measured points whose coordinates have another `floor_px` beside their noise."""
         correspondences = correspondences_from_pixels(
             self.left_camera,
             self.right_camera,
             left_px,
             right_px,
-            _WINDOW_SIGMA_PX,
-            (None, measured.covariance_px[good] + floor),
+            floor_px,
+            (None, covariance + np.array([1.0, 0.0, 1.0]) * floor_px**2),
         )
-        result = relative_orientation(correspondences, self._last_options())
-        counts["orientation points"] = int(np.count_nonzero(result.used))
-        reasons = result.reasons or self._doubts(found, result, left_px)
-        return AutomaticOrientation(result, reasons, left_px, right_px, counts, tuple(notes))
-
-    def _last_options(self) -> RelativeOptions:
         o = self.options.orientation
-        # The sigmas of matching are those of good textures: the others are no gross errors.
         search = RobustOptions(
-            limit_sigmas=4.0 * o.search.limit_sigmas,
+            limit_sigmas=widening * o.search.limit_sigmas,
             confidence=o.search.confidence,
             least_samples=o.search.least_samples,
             most_samples=o.search.most_samples,
@@ -221,7 +230,8 @@ class _Pair:
             widening=1.0,
             seed=o.search.seed,
         )
-        return RelativeOptions(o.robust, search, o.adjustment, o.snooping, o.diagnosis)
+        options = RelativeOptions(o.robust, search, o.adjustment, o.snooping, o.diagnosis)
+        return relative_orientation(correspondences, options)
 
     def _doubts(
         self, features: RelativeOrientation, measured: RelativeOrientation, left_px: Array
@@ -292,6 +302,26 @@ def _on_photo(pixels: Array, camera: Camera) -> Mask:
     # Comparisons with NaN, where nothing was measured, are false.
     inside = (pixels > 0.0) & (pixels < np.array(camera.size_px))
     return np.asarray(inside.all(axis=1))
+
+
+def _unmodelled_px(result: RelativeOrientation, covariance: Array) -> float:
+    """Standard deviation per coordinate that the y-parallaxes have beside the noise of matching.
+
+    The one with which half of the normalised squares lie below the median of their distribution (0.455 for
+    one degree of freedom), so that gross errors do not count; at least `_WINDOW_SIGMA_PX`.
+    """
+    statistics = result.points()
+    squares = statistics.y_parallax[statistics.used] ** 2
+    noise = 0.5 * (covariance[:, 0] + covariance[:, 2])[statistics.used]
+    low, high = 2.0 * _WINDOW_SIGMA_PX**2, float(squares.max()) + 2.0 * _WINDOW_SIGMA_PX**2
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        if float(np.median(squares / (noise + middle))) > _MEDIAN_OF_SQUARES:
+            low = middle
+        else:
+            high = middle
+    # Left and right coordinates have half of it each.
+    return math.sqrt(0.5 * low)
 
 
 def _without_repetitions(left_px: Array, good: Mask) -> Mask:
