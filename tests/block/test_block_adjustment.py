@@ -14,8 +14,9 @@ from scipy.stats import binom, chi2
 from stereomate.block.adjustment import adjust_block
 from stereomate.block.network import Attitudes, BlockCamera, Control, ImagePoints, Network, Positions
 from stereomate.block.options import BlockOptions, TestOptions
-from stereomate.block.statistics import detection_limit, full_covariance
+from stereomate.block.statistics import detection_limit
 from stereomate.block.unknowns import vector_from_rotation
+from stereomate.block.whole import full_covariance
 from stereomate.errors import InputError, NotDeterminedError
 from stereomate.geometry.rotations import rotation_from_vector
 
@@ -82,7 +83,7 @@ def test_covariances_agree_with_the_whole_inverse(calibrated, dense):
     assert np.abs((cofactors.shared - cofactor[tail, tail]) / np.outer(size, size)).max() < 1e-5
     pair = cofactors.photo_pair(0, 1)
     assert np.abs((pair - cofactor[:6, 6:12]) / np.outer(scale[:6], scale[6:12])).max() < 1e-5
-    whole = full_covariance(result.solution, PRIOR)
+    whole = full_covariance(result.solution)
     keep = np.r_[0 : 6 * n, 6 * n + 3 * p : len(cofactor)]
     expected = cofactor[np.ix_(keep, keep)]
     assert np.abs((whole - expected) / np.outer(scale[keep], scale[keep])).max() < 1e-5

@@ -91,7 +91,7 @@ class BlockAdjustment:
     correlations : tuple of Correlation
     statistics : Statistics or None
     solution : Solution
-        For more of the inverse: `statistics.full_covariance`.
+        For more of the inverse: `whole.full_covariance`.
     notes : tuple of str
     """
 

@@ -1,9 +1,9 @@
 """Posterior statistics of a block: covariances, redundancy numbers, standardized residuals, reliability.
 
 Everything comes from the entries of the inverse that lie within the band of the normal matrix (`selected`);
-the whole inverse is made on request only (`full_covariance`). The redundancy number of an observation is the
-part of an error of it that shows in its own residual; the minimal detectable error is the one that the test
-of level `alpha` finds with probability `power` (Baarda).
+the whole inverse is made on request only (`whole.full_covariance`). The redundancy number of an observation
+is the part of an error of it that shows in its own residual; the minimal detectable error is the one that the
+test of level `alpha` finds with probability `power` (Baarda).
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from stereomate.block.equations import Equations, Factored, build, factor
-from stereomate.block.freedom import InnerConstraints, inner_constraints
+from stereomate.block.equations import Factored, build, factor
+from stereomate.block.freedom import inner_constraints
 from stereomate.block.kernels import covariance as kernels
 from stereomate.block.kernels import system
 from stereomate.block.loop import Solution, image_residuals
@@ -382,41 +382,3 @@ def _control(solution: Solution, points: Array, scale: float, limit: float) -> R
         sigma[i, axes] = np.sqrt(np.diag(prior))
     made = _reliability(residuals, effective, redundancy, deviation, scale, limit)
     return Reliability(residuals, sigma, redundancy, made.standardized, made.minimal_detectable)
-
-
-def full_covariance(solution: Solution, options: BlockOptions) -> Array:
-    """Whole cofactor matrix of photographs (their own order) and shared unknowns, (6 n + q, 6 n + q).
-
-    Points follow from it by elimination; of free networks it is that of the minimal constraints.
-    """
-    prepared = solution.prepared
-    factored = factor(prepared, build(prepared, solution.state, solution.start))
-    if factored.singular >= 0:
-        raise NotDeterminedError("the normal matrix is singular at the solution")
-    n6 = len(factored.factor)
-    whole = np.eye(n6)
-    system.forward(factored.factor, prepared.skew, whole)
-    system.backward(factored.factor, prepared.skew, whole)
-    solved = factored.half.copy()
-    system.backward(factored.factor, prepared.skew, solved)
-    root = np.linalg.inv(factored.corner) if factored.half.shape[1] else np.zeros((0, 0))
-    shared = root.T @ root
-    whole += solved @ shared @ solved.T
-    rows = (6 * prepared.place[:, None] + np.arange(6)).ravel()
-    free = prepared.free_photo.ravel()
-    top = whole[np.ix_(rows, rows)] * np.outer(free, free)
-    side = -(solved @ shared)[rows]
-    return np.block([[top, side], [side.T, shared]])
-
-
-__all__ = [
-    "Covariances",
-    "Equations",
-    "InnerConstraints",
-    "Reliability",
-    "Statistics",
-    "counts",
-    "detection_limit",
-    "full_covariance",
-    "statistics_of",
-]
