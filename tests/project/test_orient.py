@@ -28,7 +28,10 @@ def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("survey")
     path = write_tiny(folder, strips=2, size_px=(480, 360), control_points=0)
     with path.open("a", encoding="utf-8") as file:
-        file.write('\n[orient]\ncalibrate = "none"\nposition_sigma_m = [0.1, 0.1, 0.1]\nfeatures = 1200\npoints_per_photo = 120\n')
+        file.write(
+            '\n[orient]\ncalibrate = "none"\nposition_sigma_m = [0.1, 0.1, 0.1]\n'
+            "features = 1200\npoints_per_photo = 120\n"
+        )
     return path
 
 
@@ -163,7 +166,8 @@ def test_photographs_that_share_nothing_are_an_error_with_a_reason(tmp_path: Pat
         image = rng.integers(0, 255, (300, 400, 3), dtype=np.uint8)
         tifffile.imwrite(tmp_path / f"p{k}.tif", image, photometric="rgb")
     (tmp_path / "project.toml").write_text(
-        '[project]\ncrs = "EPSG:25832"\nheights = "undeclared"\n[[camera]]\nname = "c"\nsize_px = [400, 300]\n'
+        '[project]\ncrs = "EPSG:25832"\nheights = "undeclared"\n'
+        '[[camera]]\nname = "c"\nsize_px = [400, 300]\n'
         'principal_distance_px = 400.0\n[photos]\nfiles = "p*.tif"\n',
         encoding="utf-8",
     )

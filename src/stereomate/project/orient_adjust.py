@@ -288,10 +288,16 @@ def _taking_part(measured: Measured, findings: list[str]) -> tuple[_At, dict[int
         rotations[list(part.photos)] = part.rotations
         findings += part.notes
         findings += [
-            f"{part.datum}: {_outlier(measured, part.datum, name)} contradicts the others"
+            f"{part.datum}: {_outlier(measured, part.datum, name)} contradicts the others{_left(part.datum)}"
             for name in part.outliers
         ]
     return _At(centres, rotations, measured.points, bool(with_datum)), left_out
+
+
+def _left(datum: str) -> str:
+    if datum != "control":
+        return ""
+    return " by far and is left out: is it the right point, are its coordinates swapped or in another unit?"
 
 
 def _outlier(measured: Measured, kind: str, name: str) -> str:
@@ -311,7 +317,11 @@ def _block_data(inputs: OrientInputs, measured: Measured) -> BlockData:
         if rows is not None and inputs.control.is_placed:
             point, photo_of, pixels, sigma = rows
             c = inputs.control
-            control = KnownPoints(c.names, c.tangent_xyz, c.sigma_m, point, photo_of, pixels)
+            # What contradicted the others at the start by far would only tear the block.
+            wrong = {name for part in measured.parts if part.datum == "control" for name in part.outliers}
+            keep = np.array([name not in wrong for name in c.names])
+            xyz = np.where(keep[:, None], c.tangent_xyz, np.nan)
+            control = KnownPoints(c.names, xyz, c.sigma_m, point, photo_of, pixels)
             check = c.check
     return BlockData(
         tuple(photo.name for photo in inputs.photos),

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
 from stereomate.frames.transform import map_from_tangent
@@ -31,6 +32,7 @@ _LEAST_POINTS: Final = 20
 _LARGEST_GRID: Final = 4000
 # Parts of the extent of the points by which the surface is continued for the photographs' margins.
 _MARGIN: Final = 0.35
+_SMOOTHING_CELLS: Final = 8.0
 
 
 def write_tie_surface(out: Path, inputs: OrientInputs, adjusted: Adjusted) -> tuple[Path, str] | None:
@@ -93,6 +95,8 @@ def interpolated(xyz: Array) -> tuple[tuple[float, float], float, Array]:
     heights = LinearNDInterpolator(xyz[:, :2] - middle, xyz[:, 2])(grid - middle)
     outside = np.isnan(heights)
     heights[outside] = NearestNDInterpolator(xyz[:, :2] - middle, xyz[:, 2])(grid[outside] - middle)
+    # Steps between the regions of two outermost points would tear the products there.
+    heights[outside] = gaussian_filter(heights, _SMOOTHING_CELLS)[outside]
     return (float(west), float(north)), step, np.asarray(heights, dtype=np.float64)
 
 
