@@ -263,9 +263,7 @@ def test_tuniu_y_parallax_is_that_of_its_camera(data_folder, tmp_path):
     (job,) = plan(project, RunOptions(pairs=(("100_0005_0142", "100_0005_0018"),)))[1]
     options = AgreementOptions(windows=12, points=2400)
     given, moved = (measure_agreement(j, options).ortho_ortho for j in (job, moved_camera(job, -1.0 / 6.0)))
-    print(
-        f"y-parallax as given {given.median_px[1]:+.3f}, moved {moved.median_px[1]:+.3f}, {given.count} points"
-    )
+    print(f"y-parallax as given {given.median_px[1]:+.3f}, moved {moved.median_px[1]:+.3f}, {given.count}")
     assert min(given.count, moved.count) > 200
     assert given.median_px[1] < -0.15
     assert abs(moved.median_px[1]) < 0.5 * abs(given.median_px[1])
