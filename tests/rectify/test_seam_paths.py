@@ -1,5 +1,6 @@
 """Which model serves which ground, and seams on least-cost paths."""
 
+import itertools
 from types import SimpleNamespace
 
 import numpy as np
@@ -98,6 +99,92 @@ def test_whatever_the_costs_regions_stay_whole(seed):
     for pair, line in shared_edges(polygons):
         assert pair[0] != pair[1]
         assert line.length > 0.0
+
+
+def grids_of_labels(rng):
+    """A small grid of regions: thin grids, regions of one cell, regions and junctions on the border."""
+    rows, cols = rng.integers(1, 36, 2)
+    models = int(rng.integers(1, 12))
+    kind = rng.integers(4)
+    if kind == 0:
+        return rng.integers(0, models, (rows, cols)).astype(np.int32)
+    seeds = rng.uniform([0, 0], [rows, cols], (models, 2))
+    at = np.stack(np.mgrid[:rows, :cols], -1)[:, :, None] + 0.5
+    label = np.argmin(np.hypot(*(at - seeds).transpose(3, 0, 1, 2)), axis=2).astype(np.int32)
+    if kind == 1:  # Regions of one cell, some on the border.
+        single = rng.integers([rows, cols], size=(12, 2))
+        label[single[:, 0], single[:, 1]] = rng.integers(0, models, 12)
+    if kind == 2:  # Long straight seams whose junctions are some cells apart.
+        side = int(rng.integers(2, 6))
+        label = np.kron(label[::side, ::side], np.ones((side, side), np.int32))[:rows, :cols]
+    return np.ascontiguousarray(label)
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.integers(0, 100_000))
+def test_any_grid_of_labels_has_seams(seed):
+    """Whatever regions look like: a known model in every cell, and polygons that cover the product."""
+    rng = np.random.default_rng(seed)
+    label = grids_of_labels(rng)
+    rows, cols = label.shape
+    with pytest.MonkeyPatch.context() as patch:
+        overviews = scene(label.shape, rng.exponential(2.0, label.shape), patch)
+        moved = seamlines.improved_regions(overviews, (None,) * 12, label, 1.0)
+    assert moved.shape == label.shape
+    assert np.isin(moved, label).all()
+    polygons = region_polygons(moved, 2, (2 * cols, 2 * rows))
+    assert all(p.is_valid for _, p in polygons)
+    assert sum(p.area for _, p in polygons) == pytest.approx(4.0 * rows * cols, rel=2e-4)
+    assert {model for model, _ in polygons} == set(np.unique(moved).tolist())
+
+
+@pytest.mark.parametrize("turns", range(4))
+def test_two_junctions_as_one_where_a_way_follows_the_edge_of_their_corners(turns, monkeypatch):
+    """Seams that turn where they are farthest from the other junction, for either of the two as the first."""
+    label = np.zeros((60, 60), np.int32)
+    label[30:] = 1  # Junctions at column 27 and 33 of row 30; seams along it turn at 19 and 41.
+    label[:, :19] = label[:30, :27] = 2
+    label[:, 41:] = label[30:, 33:] = 3
+    label = np.ascontiguousarray(np.rot90(label, turns))
+    cost = np.random.default_rng(turns).exponential(2.0, label.shape)
+    moved = seamlines.improved_regions(scene(label.shape, cost, monkeypatch), (None,) * 4, label, 1.0)
+    assert set(np.unique(moved)) == {0, 1, 2, 3}
+    for k in range(4):
+        assert scipy.ndimage.label(moved == k)[1] == 1
+
+
+def test_the_ways_to_a_junction_have_cells_on_both_sides():
+    """But for the border of the grid, which no seam follows."""
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        vertices = rng.integers(1, 29, (6, 2))
+        window = junctions._window(vertices, 3, vertices[0], (30, 30))
+        low, high = np.array([window.col0, window.row0]), np.array([window.col1, window.row1])
+        assert (vertices > low).all()
+        assert (vertices < high).all()
+        assert (low >= 0).all()
+        assert (high <= 30).all()
+
+
+def test_steps_without_cells_on_both_sides_are_closed():
+    """Along the border there is no way, and none appears on the other side of the grid."""
+    border = np.array([[0, 0], [3, 0], [3, 3], [0, 3], [0, 0]])
+    along = [np.linspace(a, b, 4).astype(int) for a, b in itertools.pairwise(border)]
+    beyond = np.array([[2, 3], [2, 4], [-1, 4]])
+    closed = np.zeros((4, 4), bool)
+    graph = on_edges.step_graph(np.ones((3, 3), np.float32), closed[1:, 1:], closed, [*along, beyond])
+    assert graph.nnz == 0
+    assert np.isinf(on_edges.cheapest(graph, 0)[0][3])
+
+
+def test_a_line_without_a_way_stays(monkeypatch):
+    """Costs that are no numbers leave no way: regions are those of the nearest models."""
+    label = np.zeros((40, 40), np.int32)
+    label[:20, 20:] = 1
+    label[20:] = 2
+    overviews = scene(label.shape, np.full(label.shape, np.nan), monkeypatch)
+    moved = seamlines.improved_regions(overviews, (None,) * 3, label, 1.0)
+    np.testing.assert_array_equal(moved, label)
 
 
 def test_the_cheapest_way_is_the_cheapest():

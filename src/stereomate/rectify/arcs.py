@@ -81,7 +81,7 @@ def step_graph(
     mine : (rows + 1, cols + 1)
         Corners that may be used.
     chains : sequence of (n, 2) int
-        Ways that are open whatever the others say.
+        Ways that are open whatever the others say, but for steps that do not lie between two of the cells.
     extra : (rows + 1, cols + 1), optional
         Added to the cost of a step, mean of its corners.
     """
@@ -97,9 +97,9 @@ def step_graph(
     upright_open = passable[:, 1:] & passable[:, :-1] & mine[1:, 1:-1] & mine[:-1, 1:-1]
     for a, b in itertools.chain.from_iterable(itertools.pairwise(chain) for chain in chains):
         col, row = int(min(a[0], b[0])), int(min(a[1], b[1]))
-        if a[0] == b[0]:
+        if a[0] == b[0] and 0 < col < cols and 0 <= row < rows:
             upright_open[row, col - 1] = True
-        else:
+        elif a[1] == b[1] and 0 < row < rows and 0 <= col < cols:
             level_open[row - 1, col] = True
     tails = np.concatenate([number[1:-1, :-1][level_open], number[:-1, 1:-1][upright_open]])
     heads = np.concatenate([number[1:-1, 1:][level_open], number[1:, 1:-1][upright_open]])
@@ -108,14 +108,17 @@ def step_graph(
 
 
 def cheapest(graph: Any, start: int) -> tuple[Floats, NDArray[np.int32]]:
-    """Cost of the cheapest way from `start` to every corner, and the corner before each one on it."""
+    """Cost of the cheapest way from `start` to every corner (inf: none), and the corner before each one."""
     dijkstra: Any = scipy.sparse.csgraph.dijkstra
     cost, before = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
     return cost, before
 
 
 def walk(before: NDArray[np.int32], start: int, end: int, width: int) -> Ints:
-    """Corners (n, 2) as column, row of the cheapest way from `start` to `end`; `width` corners to a row."""
+    """Corners (n, 2) as column, row of the cheapest way from `start` to `end`; `width` corners to a row.
+
+    There must be a way: its cost is finite.
+    """
     way = [end]
     while way[-1] != start:
         way.append(int(before[way[-1]]))

@@ -138,6 +138,10 @@ def _move(
     number = [int(v[1] * (window.cols + 1) + v[0]) for v in (chain[-1] - first for chain in near)]
     total = np.sum([cheapest(graph, start)[0] for start in number], axis=0)
     best = int(np.argmin(total))
+    if not np.isfinite(total[best]):
+        for way in near + way_between:
+            taken[way[:, 1], way[:, 0]] = True
+        return
     before = cheapest(graph, best)[1]
     for end, chain, n, start in zip(meeting, chains, lengths, number, strict=True):
         way = walk(before, best, start, window.cols + 1) + first
@@ -150,9 +154,13 @@ def _move(
 
 
 def _window(vertices: Ints, radius: int, place: Ints, shape: tuple[int, int]) -> Window:
-    """The square around a junction, widened to hold the ends of the ways to it."""
-    low = np.minimum(vertices.min(axis=0), place - radius)
-    high = np.maximum(vertices.max(axis=0), place + radius)
+    """The square around a junction, widened to hold the ways to it with the cells on both sides of them.
+
+    Of two junctions that move as one, the ways to the second may run along the edge of what holds their
+    corners alone, where a step has no cell on one side.
+    """
+    low = np.minimum(vertices.min(axis=0) - 1, place - radius)
+    high = np.maximum(vertices.max(axis=0) + 1, place + radius)
     col0, row0 = np.maximum(low, 0).tolist()
     col1, row1 = np.minimum(high, [shape[1], shape[0]]).tolist()
     return Window(col0, row0, col1 - col0, row1 - row0)

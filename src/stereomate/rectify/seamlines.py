@@ -101,7 +101,10 @@ def _least_cost(
     graph = step_graph(both.cost, passable, mine, [own], away)
     width = window.cols + 1
     start, end = (int(v[1] * width + v[0]) for v in (own[0], own[-1]))
-    way = walk(cheapest(graph, start)[1], start, end, width)
+    total, before = cheapest(graph, start)
+    if not np.isfinite(total[end]):
+        return arc
+    way = walk(before, start, end, width)
     return Arc(way + np.array([col0, row0]), arc.labels)
 
 

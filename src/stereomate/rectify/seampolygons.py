@@ -45,12 +45,14 @@ def region_polygons(label: Labels, factor: int, size: tuple[int, int]) -> Polygo
     border = shapely.box(0, 0, cols, rows).exterior
     lines = [border, *(shapely.LineString(arc.vertices) for arc in seam_arcs(label))]
     cells = shapely.get_parts(shapely.polygonize([shapely.node(shapely.multilinestrings(_open(lines)))]))
-    cells = shapely.coverage_simplify(cells, _TOLERANCE_CELLS)
+    # Before lines are simplified: a small region may then lie beside its own cells.
+    inside = shapely.get_coordinates(shapely.point_on_surface(cells)).astype(np.int64)
+    models = label[inside[:, 1], inside[:, 0]].tolist()
+    # The border stays as it is, or a seam that ends near a corner would cut it off.
+    cells = shapely.coverage_simplify(cells, _TOLERANCE_CELLS, simplify_boundary=False)
     product = shapely.box(0, 0, *size)
     found = []
-    for cell in cells:
-        inside = shapely.get_coordinates(shapely.point_on_surface(cell))[0]
-        model = int(label[min(int(inside[1]), rows - 1), min(int(inside[0]), cols - 1)])
+    for cell, model in zip(cells, models, strict=True):
         scaled = grained(shapely.transform(cell, lambda xy: xy * factor))
         for part in shapely.get_parts(shapely.intersection(scaled, product)):
             if isinstance(part, shapely.Polygon) and part.area > 0.0:
