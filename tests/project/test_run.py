@@ -60,8 +60,9 @@ def contents(folder):
 
 
 def test_products_are_written_and_nothing_else(made):
-    names = ["item.json", "lineage.tif", "mate.tif", "ortho.tif", "report.html", "seams.gpkg", "stereo.json"]
-    assert sorted(p.name for p in made.out.iterdir()) == names
+    rasters = ["lineage.tif", "mate.tif", "ortho.tif"]
+    beside = ["item.json", "report.html", "report.json", "seams.gpkg", "stereo.json"]
+    assert sorted(p.name for p in made.out.iterdir()) == sorted(rasters + beside)
     grid = made.products[0].product.job.grid
     for name in ("ortho.tif", "mate.tif", "lineage.tif"):
         with rasterio.open(made.out / name) as file:
@@ -233,7 +234,7 @@ def test_second_run_computes_nothing(copy, monkeypatch):
     def refuse(*_, **__):
         raise AssertionError("computed again")
 
-    monkeypatch.setattr(running, "_make_product", refuse)
+    monkeypatch.setattr(running, "_make_products", refuse)
     assert make(project, out).up_to_date
     assert contents(out) == before
 
@@ -267,7 +268,8 @@ def test_orthophoto_alone_removes_the_mate_of_the_run_before(copy):
     (out / "notes.txt").write_text("mine")
     make(project, out, report=True, stereo=False, agreement=False)
     assert sorted(p.name for p in out.iterdir()) == [
-        "item.json", "lineage.tif", "notes.txt", "ortho.tif", "report.html", "seams.gpkg", "stereo.json",
+        "item.json", "lineage.tif", "notes.txt", "ortho.tif", "report.html", "report.json", "seams.gpkg",
+        "stereo.json",
     ]  # fmt: skip
     with rasterio.open(out / "lineage.tif") as file:
         assert file.count == 1
