@@ -84,6 +84,7 @@ def killer(stage: str, at: int | None) -> Callable[[str, int, int], None]:
     return progress
 
 
+@pytest.mark.slow
 def test_killed_at_every_boundary_and_within_the_longest_stages_it_gives_the_same_bytes(
     survey: Path, whole: OrientResult, tmp_path: Path
 ) -> None:
@@ -115,6 +116,7 @@ def test_killed_at_every_boundary_and_within_the_longest_stages_it_gives_the_sam
         assert (tmp_path / name).read_bytes() == (whole.out / name).read_bytes(), name
 
 
+@pytest.mark.slow
 def test_two_threads_and_a_repeated_run_give_the_same_bytes(
     survey: Path, whole: OrientResult, tmp_path: Path
 ) -> None:
@@ -138,6 +140,7 @@ def changed(survey: Path, folder: Path, **replaced: str) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_duplicate_unreadable_and_foreign_photographs_are_left_out_and_named(
     survey: Path, tmp_path: Path
 ) -> None:

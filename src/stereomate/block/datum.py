@@ -55,8 +55,15 @@ class Defect:
         return self.directions[3:6]
 
 
-def find_defect(network: Network) -> Defect:
-    """What control, positions, attitudes and held unknowns leave open; shared unknowns may open more."""
+def find_defect(network: Network, used: NDArray[np.bool_] | None = None) -> Defect:
+    """What control, positions, attitudes and held unknowns leave open; shared unknowns may open more.
+
+    Parameters
+    ----------
+    network : Network
+    used : ndarray of bool, shape (m,), optional
+        Image observations that take part; all if None. Control points that none of them sees hold nothing.
+    """
     centres = network.photographs.centres
     origin = centres.mean(axis=0)
     extent = float(
@@ -70,7 +77,8 @@ def find_defect(network: Network) -> Defect:
     control, positions, attitudes = network.control, network.positions, network.attitudes
     if control is not None:
         assert control.check is not None
-        known = np.isfinite(control.sigma) & ~control.check[:, None]
+        points = network.image.point if used is None else network.image.point[used]
+        known = np.isfinite(control.sigma) & (np.isin(control.point, points) & ~control.check)[:, None]
         rows.append(_place_moves(network.points.xyz[control.point] - origin, extent)[known])
     if positions is not None:
         moves = _place_moves(centres[positions.photo] - origin, extent)

@@ -119,7 +119,7 @@ def run_loop(
         If the network has a datum defect and ``options.free_network`` is ``none``.
     """
     limit_library_threads()
-    defect = find_defect(network)
+    defect = find_defect(network, used)
     notes: list[str] = []
     if defect.size:
         if options.free_network == "none":

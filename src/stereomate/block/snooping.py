@@ -3,7 +3,7 @@
 Begins from a robust solution (Huber's loss). In each pass the observation of the largest standardized
 residual of every point is taken out, as far as it is over the limit and among the large ones of the block: a
 gross error spreads over its neighbours, so these wait. At the end observations that agree with the others
-again come back, once.
+again come back, once. An observation that the block cannot be determined without stays in, and is named.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
+from stereomate.block.datum import find_defect
 from stereomate.block.loop import Progress, Solution, run_loop
 from stereomate.block.navigation import groups_of
 from stereomate.block.network import Network
@@ -32,6 +33,8 @@ _PASSES: Final = 60
 _MEDIAN_OF_NORMAL: Final = 0.6744897501960817
 
 Kind = Literal["image", "control", "positions", "attitudes"]
+# Kind, row, axis.
+_Key = tuple[Kind, int, int]
 
 
 @dataclass(frozen=True)
@@ -66,8 +69,15 @@ class _Search:
         self.network, self.options = network, options
         self.used = np.ones(len(network.image.photo), np.bool_)
         self.back: Mask = np.zeros_like(self.used)
-        self.out: dict[tuple[Kind, int, int], float] = {}
+        self.out: dict[_Key, float] = {}
         self.limit = float(norm.isf(options.tests.alpha / 2.0))
+        control = network.control
+        self.of_control: Mask = np.isin(network.image.point, () if control is None else control.point)
+        # What was out when the block was last determined, and what must not go.
+        self.last = self.used.copy(), dict(self.out)
+        self.needed_rows: Mask = np.zeros_like(self.used)
+        self.needed: set[_Key] = set()
+        self.one_by_one = False
 
     def reduced(self) -> Network:
         """The network without the axes of control, positions and attitudes that are out."""
@@ -101,14 +111,13 @@ class _Search:
 
     def remove(self, statistics: Statistics, scale: float) -> bool:
         """Take out the largest of each point; whether there was one."""
-        ratio = statistics.scale / scale
-        size = np.where(self.used, np.abs(statistics.image.standardized * ratio).max(axis=1), 0.0)
+        size = np.where(self.used & ~self.needed_rows, self._image_sizes(statistics, scale), 0.0)
         size = np.nan_to_num(size)
-        others = self._other_sizes(statistics, ratio)
+        others = self._other_sizes(statistics, statistics.scale / max(scale, 1.0))
         largest = max(float(size.max(initial=0.0)), *(value for _, value in others), 0.0)
         if largest <= self.limit:
             return False
-        threshold = max(self.limit, _PART * largest)
+        threshold = max(self.limit, (0.999 if self.one_by_one else _PART) * largest)
         found = False
         order = np.lexsort((np.arange(len(size)), -size))
         seen: set[int] = set()
@@ -118,18 +127,31 @@ class _Search:
                 seen.add(point)
                 self.used[row] = False
                 found = True
+                if self.one_by_one:
+                    return True
         for key, value in others:
             if value > threshold and value >= 0.999 * largest:
                 self.out[key] = value
                 found = True
+                if self.one_by_one:
+                    return True
         if not found:
             key, _ = max(others, key=lambda entry: entry[1])
             self.out[key] = largest
         return True
 
-    def _other_sizes(self, statistics: Statistics, ratio: float) -> list[tuple[tuple[Kind, int, int], float]]:
+    def _image_sizes(self, statistics: Statistics, scale: float) -> Array:
+        """Largest standardized residual of each image observation; NaN for those that are not controlled.
+
+        The scale is that of the tie points. Where they are better than stated, what a surveyor measured of
+        control points is not: his standard deviations are never made smaller.
+        """
+        scales = np.where(self.of_control, max(scale, 1.0), scale)
+        return np.asarray(np.abs(statistics.image.standardized).max(axis=1) * statistics.scale / scales)
+
+    def _other_sizes(self, statistics: Statistics, ratio: float) -> list[tuple[_Key, float]]:
         """Standardized residuals of all other observations; the largest axis of each row."""
-        result: list[tuple[tuple[Kind, int, int], float]] = [(("control", -1, -1), 0.0)]
+        result: list[tuple[_Key, float]] = [(("control", -1, -1), 0.0)]
         parts: tuple[tuple[Kind, Reliability | None], ...] = (
             ("control", statistics.control),
             ("positions", statistics.positions),
@@ -140,16 +162,58 @@ class _Search:
                 continue
             size = np.nan_to_num(np.abs(part.standardized) * ratio)
             axis = size.argmax(axis=1)
-            result += [((kind, row, int(axis[row])), float(size[row, axis[row]])) for row in range(len(size))]
+            keys: list[_Key] = [(kind, row, int(axis[row])) for row in range(len(size))]
+            result += [(key, float(size[key[1:]])) for key in keys if key not in self.needed]
         return result
 
     def restore(self, statistics: Statistics, scale: float) -> bool:
         """Bring back image points that agree with what the others say; each once."""
-        size = np.abs(statistics.image.standardized * statistics.scale / scale).max(axis=1)
+        size = self._image_sizes(statistics, scale)
         again = ~self.used & ~self.back & (size <= self.limit)
         self.used |= again
         self.back |= again
         return bool(again.any())
+
+    def accept(self) -> None:
+        """Keep what is out now."""
+        self.last = self.used.copy(), dict(self.out)
+
+    @property
+    def changed(self) -> bool:
+        """Whether other observations are out than when the block was last determined."""
+        return not np.array_equal(self.used, self.last[0]) or self.out.keys() != self.last[1].keys()
+
+    def take_back(self) -> bool:
+        """Back to where the block was last determined; False if that is here.
+
+        Of several observations that went together only the largest goes next time. One that went alone is
+        needed: it stays in.
+        """
+        if not self.changed:
+            return False
+        used, out = self.last
+        rows = np.flatnonzero(used & ~self.used)
+        keys = [key for key in self.out if key not in out]
+        self.used, self.out = used.copy(), dict(out)
+        if len(rows) + len(keys) == 1:
+            self.needed_rows[rows] = True
+            self.needed.update(keys)
+        self.one_by_one = True
+        return True
+
+    def notes(self) -> tuple[str, ...]:
+        """Names what contradicts the others and stayed in."""
+        network = self.network
+        points, photos = network.points.names, network.photographs.names
+        places = [
+            f"{points[network.image.point[row]]} in {photos[network.image.photo[row]]}"
+            for row in np.flatnonzero(self.needed_rows).tolist()
+        ]
+        places += [_name(network, kind, row) for kind, row, _ in sorted(self.needed)]
+        if not places:
+            return ()
+        note = f"{len(places)} observations contradict the others and stay in, the block is not determined "
+        return (note + f"without them: {', '.join(places[:5])}",)
 
 
 def snoop(
@@ -167,18 +231,42 @@ def snoop(
     search = _Search(network, options)
     try:
         statistics = statistics_of(solution, options, options.huber_width)
-        search.remove(statistics, search.scale(statistics))
     except NotDeterminedError:
         return solution, ()
+    search.remove(statistics, search.scale(statistics))
     for _ in range(_PASSES):
-        solution = run_loop(
-            search.reduced(), options, used=search.used, progress=progress, state=solution.state
-        )
-        statistics = statistics_of(solution, options)
+        try:
+            solution, statistics = _adjusted(search, solution, progress)
+            done = True
+            search.accept()
+        except NotDeterminedError:
+            if not search.take_back():
+                raise
+            done = False
         scale = search.scale(statistics)
-        if not search.remove(statistics, scale) and not search.restore(statistics, scale):
+        if not search.remove(statistics, scale) and not search.restore(statistics, scale) and done:
             break
+    else:
+        search.take_back()
+    solution = replace(solution, notes=(*solution.notes, *search.notes()))
     return solution, _errors(search, solution, statistics)
+
+
+def _adjusted(search: _Search, solution: Solution, progress: Progress | None) -> tuple[Solution, Statistics]:
+    """Least squares without what is out, from where it stood.
+
+    Raises
+    ------
+    NotDeterminedError
+        If too little is left: an unknown or the datum is open, or there is no convergence any more.
+    """
+    network, options = search.reduced(), search.options
+    if find_defect(network, search.used).size > find_defect(search.network).size:
+        raise NotDeterminedError("too little is left to determine the datum")
+    found = run_loop(network, options, used=search.used, progress=progress, state=solution.state)
+    if solution.converged and not found.converged and search.changed:
+        raise NotDeterminedError("too little is left for the adjustment to converge")
+    return found, statistics_of(found, options)
 
 
 def _errors(search: _Search, solution: Solution, statistics: Statistics) -> tuple[GrossError, ...]:
@@ -198,13 +286,16 @@ def _errors(search: _Search, solution: Solution, statistics: Statistics) -> tupl
         for axis in axes:
             size[axis] = float(residual[axis])
         strength = max(search.out[kind, row, axis] for axis in axes)
-        name = (
-            points[network.control.point[row]]
-            if kind == "control" and network.control
-            else photos[getattr(network, kind).photo[row]]
-        )
-        found.append(GrossError(kind, row, name, tuple(size), strength))
+        found.append(GrossError(kind, row, _name(network, kind, row), tuple(size), strength))
     return tuple(sorted(found, key=lambda g: (-np.nan_to_num(g.standardized, nan=0.0), g.kind, g.row)))
+
+
+def _name(network: Network, kind: Kind, row: int) -> str:
+    """Point or photograph of an observation."""
+    names, part = network.photographs.names, getattr(network, kind)
+    if kind == "control":
+        return network.points.names[int(part.point[row])]
+    return names[int(part.photo[row])]
 
 
 def _residual_of(network: Network, solution: Solution, kind: Kind, row: int) -> Array:

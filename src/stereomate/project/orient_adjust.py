@@ -37,6 +37,8 @@ _NOT_IMPROVED: Final = 0.5
 # Part of the photographs whose height must be correlated with the principal distance to call it inseparable.
 _MOST: Final = 0.5
 
+_UNDETERMINED: Final = "too few good observations determine their orientation"
+
 
 @dataclass(frozen=True, eq=False)
 class Adjusted:
@@ -110,13 +112,17 @@ def adjust_measured(
     tell(2, 3)
     if automatic and at.has_datum and any(wanted.values()):
         data, assembled, result = _more_parameters(data, wanted, at, options, (assembled, result), findings)
+    assembled, result = _without_undetermined(data, at, options, (assembled, result), left_out)
+    undetermined = [data.names[k] for k in sorted(left_out) if left_out[k] == _UNDETERMINED]
+    if undetermined:
+        findings.append(f"photographs left out, {_UNDETERMINED}: {', '.join(undetermined)}")
     tell(3, 3)
     findings += result.notes
     return Adjusted(
         data,
         assembled,
         result,
-        tuple(assembled.photos.tolist()),
+        tuple(assembled.photos[result.determined_photos].tolist()),
         at.has_datum,
         left_out,
         tuple(dict.fromkeys(findings)),
@@ -136,6 +142,28 @@ class _At:
 def _adjusted(data: BlockData, at: _At, options: BlockOptions) -> tuple[Assembled, BlockAdjustment]:
     assembled = assemble(data, at.centres, at.rotations, at.points, at.has_datum)
     return assembled, adjust_block(assembled.network, options)
+
+
+def _without_undetermined(
+    data: BlockData,
+    at: _At,
+    options: BlockOptions,
+    before: tuple[Assembled, BlockAdjustment],
+    left_out: dict[int, str],
+) -> tuple[Assembled, BlockAdjustment]:
+    """Without photographs that kept their start: no orientation is better than one that nothing tells.
+
+    They come to `left_out`. The others are adjusted again, as tie points that were seen by one of these and
+    by one other photograph go too.
+    """
+    assembled, result = before
+    while not result.determined_photos.all() and result.determined_photos.any():
+        lost = assembled.photos[~result.determined_photos]
+        left_out |= dict.fromkeys(lost.tolist(), _UNDETERMINED)
+        at = _moved(at, assembled, result)
+        at.centres[lost], at.rotations[lost] = math.nan, math.nan
+        assembled, result = _adjusted(data, at, options)
+    return assembled, result
 
 
 def _moved(at: _At, assembled: Assembled, result: BlockAdjustment) -> _At:

@@ -66,12 +66,16 @@ class Control:
         return bool(np.isfinite(self.tangent_xyz).any())
 
     def tangent(self, project: MapFrame) -> TangentFrame | None:
-        """A tangent frame below the middle of the points that are known in plan."""
+        """A tangent frame below the middle of the points that are known in plan.
+
+        The median: a single point with swapped coordinates would carry a mean hundreds of kilometres away,
+        where the axes of the frame are no longer east, north and up of the block.
+        """
         plan = np.isfinite(self.xyz[:, :2]).all(axis=1)
         if not plan.any():
             return None
         points = np.nan_to_num(self.xyz[plan])
-        lon, lat, _ = self.frame.geodetic_from_map(points).mean(axis=0)
+        lon, lat, _ = np.median(self.frame.geodetic_from_map(points), axis=0)
         return TangentFrame.at_geodetic(project.geodetic, round(float(lon), 3), round(float(lat), 3), 0.0)
 
     def placed(self, tangent: TangentFrame, project: MapFrame) -> Control:
