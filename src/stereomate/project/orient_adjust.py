@@ -37,7 +37,7 @@ _NOT_IMPROVED: Final = 0.5
 # Part of the photographs whose height must be correlated with the principal distance to call it inseparable.
 _MOST: Final = 0.5
 
-_UNDETERMINED: Final = "too few good observations determine their orientation"
+UNDETERMINED: Final = "too few good observations determine their orientation"
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,7 @@ def adjust_measured(
         )
     tell = progress or (lambda done, total: None)
     tell(0, 3)
-    assembled, result = _adjusted(data, at, options)
+    assembled, result = adjust_assembled(data, at, options)
     tell(1, 3)
     factor = _image_factor(assembled, result)
     if math.isfinite(factor) and abs(factor - 1.0) > 0.05:
@@ -108,14 +108,14 @@ def adjust_measured(
         )
         data = replace(data, ties=replace(data.ties, sigma_px=data.ties.sigma_px * factor))
         at = _moved(at, assembled, result)
-        assembled, result = _adjusted(data, at, options)
+        assembled, result = adjust_assembled(data, at, options)
     tell(2, 3)
     if automatic and at.has_datum and any(wanted.values()):
         data, assembled, result = _more_parameters(data, wanted, at, options, (assembled, result), findings)
-    assembled, result = _without_undetermined(data, at, options, (assembled, result), left_out)
-    undetermined = [data.names[k] for k in sorted(left_out) if left_out[k] == _UNDETERMINED]
+    assembled, result = without_undetermined(data, at, options, (assembled, result), left_out)
+    undetermined = [data.names[k] for k in sorted(left_out) if left_out[k] == UNDETERMINED]
     if undetermined:
-        findings.append(f"photographs left out, {_UNDETERMINED}: {', '.join(undetermined)}")
+        findings.append(f"photographs left out, {UNDETERMINED}: {', '.join(undetermined)}")
     tell(3, 3)
     findings += result.notes
     return Adjusted(
@@ -130,7 +130,7 @@ def adjust_measured(
 
 
 @dataclass(frozen=True, eq=False)
-class _At:
+class Approximate:
     """Approximate values of photographs and tie points; NaN for those that take no part."""
 
     centres: Array
@@ -139,14 +139,17 @@ class _At:
     has_datum: bool
 
 
-def _adjusted(data: BlockData, at: _At, options: BlockOptions) -> tuple[Assembled, BlockAdjustment]:
+def adjust_assembled(
+    data: BlockData, at: Approximate, options: BlockOptions
+) -> tuple[Assembled, BlockAdjustment]:
+    """The network of what takes part, and its adjustment."""
     assembled = assemble(data, at.centres, at.rotations, at.points, at.has_datum)
     return assembled, adjust_block(assembled.network, options)
 
 
-def _without_undetermined(
+def without_undetermined(
     data: BlockData,
-    at: _At,
+    at: Approximate,
     options: BlockOptions,
     before: tuple[Assembled, BlockAdjustment],
     left_out: dict[int, str],
@@ -159,14 +162,14 @@ def _without_undetermined(
     assembled, result = before
     while not result.determined_photos.all() and result.determined_photos.any():
         lost = assembled.photos[~result.determined_photos]
-        left_out |= dict.fromkeys(lost.tolist(), _UNDETERMINED)
+        left_out |= dict.fromkeys(lost.tolist(), UNDETERMINED)
         at = _moved(at, assembled, result)
         at.centres[lost], at.rotations[lost] = math.nan, math.nan
-        assembled, result = _adjusted(data, at, options)
+        assembled, result = adjust_assembled(data, at, options)
     return assembled, result
 
 
-def _moved(at: _At, assembled: Assembled, result: BlockAdjustment) -> _At:
+def _moved(at: Approximate, assembled: Assembled, result: BlockAdjustment) -> Approximate:
     """The adjusted values as approximate ones; points that were not determined keep theirs."""
     centres, rotations, points = at.centres.copy(), at.rotations.copy(), at.points.copy()
     centres[assembled.photos] = result.centres
@@ -174,7 +177,7 @@ def _moved(at: _At, assembled: Assembled, result: BlockAdjustment) -> _At:
     adjusted = result.points[: len(assembled.ties)]
     known = np.isfinite(adjusted[:, 0])
     points[assembled.ties[known]] = adjusted[known]
-    return _At(centres, rotations, points, at.has_datum)
+    return Approximate(centres, rotations, points, at.has_datum)
 
 
 def _image_factor(assembled: Assembled, result: BlockAdjustment) -> float:
@@ -193,7 +196,7 @@ def _image_factor(assembled: Assembled, result: BlockAdjustment) -> float:
 def _more_parameters(
     data: BlockData,
     wanted: dict[str, tuple[str, ...]],
-    at: _At,
+    at: Approximate,
     options: BlockOptions,
     before: tuple[Assembled, BlockAdjustment],
     findings: list[str],
@@ -213,13 +216,13 @@ def _more_parameters(
         if all(set(keys[n]) <= set(data.calibrate[n]) for n in keys):
             return data, assembled, result
         try:
-            trial = _adjusted(clean.with_calibration(keys), start, plain)
+            trial = adjust_assembled(clean.with_calibration(keys), start, plain)
             doubts = _doubts(data, keys, trial[1])
         except NotDeterminedError as error:
             doubts = {"principal_distance": str(error)}
         if not doubts:
             released = data.with_calibration(keys)
-            final = _adjusted(released, start, options)
+            final = adjust_assembled(released, start, options)
             return released, *final
         first = next(key for key in (*_ORDER, *doubts) if key in doubts and key not in held)
         held.add(first)
@@ -290,7 +293,7 @@ def _nominal(camera: Camera, name: str) -> float:
     return 0.0
 
 
-def _taking_part(measured: Measured, findings: list[str]) -> tuple[_At, dict[int, str]]:
+def _taking_part(measured: Measured, findings: list[str]) -> tuple[Approximate, dict[int, str]]:
     """Start orientations of the photographs that are adjusted together, and why the others are not."""
     n = len(measured.photos)
     left_out = dict(measured.not_joined)
@@ -319,7 +322,7 @@ def _taking_part(measured: Measured, findings: list[str]) -> tuple[_At, dict[int
             f"{part.datum}: {_outlier(measured, part.datum, name)} contradicts the others{_left(part.datum)}"
             for name in part.outliers
         ]
-    return _At(centres, rotations, measured.points, bool(with_datum)), left_out
+    return Approximate(centres, rotations, measured.points, bool(with_datum)), left_out
 
 
 def _left(datum: str) -> str:
