@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from stereomate.errors import CrsError, HeightSystemError, OrientationError
-from stereomate.frames.checks import check_above_ground, check_coordinates, check_height_units
+from stereomate.errors import CrsError, HeightSystemError
+from stereomate.frames.checks import check_coordinates, check_height_units
 from stereomate.frames.heights import HeightSystem
 from stereomate.frames.mapframe import MapFrame
 
@@ -61,11 +61,3 @@ def test_heights_in_feet():
         check_height_units(ground / 0.3048, ground, "control points", "gcp.csv")
     with pytest.raises(HeightSystemError, match="others are in feet"):
         check_height_units(ground, ground / 0.3048, "control points")
-
-
-def test_centres_below_the_ground():
-    check_above_ground(["a"], [500.0], [100.0])
-    with pytest.raises(
-        OrientationError, match=r"1 of 2 projection centres lie below the ground: b \(-50\.0 m\)"
-    ):
-        check_above_ground(["a", "b"], [500.0, 50.0], [100.0, 100.0])

@@ -326,3 +326,19 @@ def test_centres_outside_the_map(small):
         swapped.append(",".join(cells))
     table.write_text("\n".join([head, *swapped]) + "\n")
     fails(small, errors.CrsError, "2 of 2 projection centres lie outside", "x and y exchanged")
+
+
+def test_control_heights_in_feet_are_named(small):
+    places = [(512_000.0 + 10.0 * k, 5_400_000.0 - 5.0, 200.0 + k) for k in range(3)]
+    project = (small.folder / "project.toml").read_text()
+    small.write("project.toml", project + '[control]\nfile = "control.csv"\n')
+
+    def written(unit_m):
+        rows = [f"C{k},{x},{y},{z / unit_m:.3f}" for k, (x, y, z) in enumerate(places)]
+        small.write("control.csv", "\n".join(["name,x,y,z", *rows]) + "\n")
+
+    written(1.0)
+    load(small.path)
+    written(0.3048)
+    with pytest.raises(errors.HeightSystemError, match=r"control\.csv.*look like feet"):
+        load(small.path)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stereomate.errors import CrsError, HeightSystemError, OrientationError
+from stereomate.errors import CrsError, HeightSystemError
 from stereomate.frames.crs import geodetic_of, horizontal_part, parse, projection
 from stereomate.frames.mapframe import MapFrame
 from stereomate.units import FOOT, US_SURVEY_FOOT
@@ -147,26 +146,3 @@ def check_height_units(
                 field="heights",
                 value=float(h[use][0]),
             )
-
-
-def check_above_ground(
-    names: Sequence[str], centre_heights: ArrayLike, ground_heights: ArrayLike, file: object | None = None
-) -> None:
-    """Check that projection centres lie above the ground below them; both in one height system.
-
-    Raises
-    ------
-    OrientationError
-        Naming the photographs and the sizes.
-    """
-    above = np.asarray(centre_heights, dtype=np.float64) - np.asarray(ground_heights, dtype=np.float64)
-    low = np.flatnonzero(above <= 0.0)
-    if low.size:
-        listed = ", ".join(f"{names[k]} ({above[k]:+.1f} m)" for k in low[:5])
-        raise OrientationError(
-            f"{low.size} of {above.size} projection centres lie below the ground: {listed}"
-            + (", ..." if low.size > 5 else ""),
-            file=file,
-            field="z",
-            hint="heights of another kind or unit, or exchanged coordinates",
-        )

@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereomate.formats.control_points import read_control_points
 from stereomate.formats.image_points import ImageMeasurements
 from stereomate.frames.transform import map_from_tangent
 from stereomate.geometry.accuracy import PointAccuracy, point_accuracy
 from stereomate.geometry.intersection import Intersections, Rays, intersect_rays
 from stereomate.project.model import Project
-from stereomate.project.orient_control import Control, read_block_control
+from stereomate.project.orient_control import Control, control_table, read_block_control
 from stereomate.project.orientations import Reading
 from stereomate.project.reading import read_project_file
 from stereomate.project.schema import ControlSection
@@ -112,10 +111,7 @@ def _has_measurements(section: ControlSection, folder: Path) -> bool:
     """Whether a file of its own, or the list of points itself, says where they are in the photographs."""
     if section.measurements is not None:
         return True
-    source = folder / section.file
-    if section.columns is None and source.suffix.lower() in (".app", ".mes"):
-        return False
-    return read_control_points(source, section.columns, section.separator).measurements is not None
+    return control_table(folder / section.file, section.columns, section.separator).measurements is not None
 
 
 def intersected(project: Project, control: Control) -> CheckPoints:

@@ -22,6 +22,7 @@ from stereomate.project.candidates import Candidate, find_candidates, planned_ca
 from stereomate.project.compare import Comparison, compare_orientations
 from stereomate.project.inputs import InputFile, PhotoProblem, file_digest, photo_fingerprint
 from stereomate.project.model import Project
+from stereomate.project.orient_control import check_control_units
 from stereomate.project.orientations import (
     Reading,
     WrittenOrientations,
@@ -76,6 +77,8 @@ def load(path: str | Path, *, strict: bool | None = None, planned: bool = False)
     tangent = tangent_frame_for(written, frame, file.project.tangent_origin)
     centres = map_from_map(frame, written.frame, written.positions)
     model = open_terrain(file, reading, centres, frame, notes)
+    if model is not None:
+        check_control_units(file, path, frame, model)
     placed = place_photographs(file, reading, written, candidates, tangent, model, notes)
     problems += placed.problems
     _require_enough(placed, problems, options.strict if strict is None else strict, path)

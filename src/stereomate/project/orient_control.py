@@ -15,12 +15,14 @@ from stereomate.errors import ProjectError
 from stereomate.formats.control_points import ControlFile, ControlPoint, read_control_points
 from stereomate.formats.ign import read_ground_points
 from stereomate.formats.image_points import ImageMeasurements, read_image_points
+from stereomate.frames.checks import check_height_units
 from stereomate.frames.crs import WGS84
 from stereomate.frames.mapframe import MapFrame
 from stereomate.frames.tangent import TangentFrame
-from stereomate.frames.transform import tangent_from_map
+from stereomate.frames.transform import map_from_map, tangent_from_map
 from stereomate.project.orientations import Reading, height_system, map_frame
 from stereomate.project.schema import ProjectFile
+from stereomate.terrain.model import HeightModel
 
 Array = NDArray[np.float64]
 
@@ -113,7 +115,7 @@ def read_block_control(
     if section is None:
         return None
     source = path.parent / section.file
-    table = _table(source, section.columns, section.separator)
+    table = control_table(source, section.columns, section.separator)
     notes: list[str] = []
     crs = section.crs or table.crs or (WGS84 if table.geographic else file.project.crs)
     if section.crs is None and table.crs:
@@ -156,7 +158,34 @@ def read_block_control(
     )
 
 
-def _table(source: Path, columns: Sequence[str] | None, separator: str | None) -> ControlFile:
+def check_control_units(file: ProjectFile, path: Path, frame: MapFrame, model: HeightModel) -> None:
+    """Refuse control points whose heights are in another unit than the height model's.
+
+    Raises
+    ------
+    HeightSystemError
+        If most are 3.28 times the height model below them, or the reverse.
+    ProjectError, FormatError, CrsError
+        About the file of the points.
+    """
+    section = file.control
+    if section is None:
+        return
+    source = path.parent / section.file
+    table = control_table(source, section.columns, section.separator)
+    reading = Reading(path, "control", path.parent, file.project.crs, frame.heights)
+    crs = section.crs or table.crs or (WGS84 if table.geographic else file.project.crs)
+    heights = height_system(section.heights, reading.heights, reading, "control.heights")
+    own = map_frame(crs, heights, path, "control.crs" if section.crs else "project.crs")
+    xyz = np.array([point.xyz for point in table.points])
+    xyz = xyz[np.isfinite(xyz).all(axis=1)]
+    if len(xyz):
+        there = map_from_map(model.frame, own, xyz)
+        check_height_units(there[:, 2], model.heights_at(there[:, :2]), "the control points", source)
+
+
+def control_table(source: Path, columns: Sequence[str] | None, separator: str | None) -> ControlFile:
+    """Points of a table, a vector file, a list of OpenDroneMap, or an IGN ``.app`` or ``.mes`` file."""
     if columns is None and source.suffix.lower() in (".app", ".mes"):
         points = read_ground_points(source)
         return ControlFile(
