@@ -11,9 +11,8 @@ import pytest
 
 from stereomate.errors import FormatError, ProjectError
 from stereomate.frames.heights import HeightSystem
-from stereomate.project import reading
 from stereomate.project.orientations import Reading, read_orientations
-from stereomate.project.reading import migrated, parse_project
+from stereomate.project.reading import parse_project
 from stereomate.project.schema import (
     CameraSection,
     ControlSection,
@@ -97,23 +96,8 @@ def test_newer_form_names_both(document, version):
 
 @pytest.mark.parametrize("version", ["1", 0, 1.5, True])
 def test_form_that_is_no_version(document, version):
-    with pytest.raises(ProjectError, match=r"project\.format"):
+    with pytest.raises(FormatError, match=r"project\.format"):
         parse_project(changed(document, "project.format", version), NAME)
-
-
-def test_older_forms_are_migrated_step_by_step(document, monkeypatch):
-    """What a later version will do: each step turns a document into the next form."""
-
-    def second(old):
-        return {**old, "photos": {**old["photos"], "angles": "local"}}
-
-    monkeypatch.setattr(reading, "FORMAT", 3)
-    monkeypatch.setitem(reading.MIGRATIONS, 1, second)
-    monkeypatch.setitem(reading.MIGRATIONS, 2, lambda old: {**old, "control": {"file": "c.csv"}})
-    result = migrated(document, NAME)
-    assert result["photos"]["angles"] == "local"
-    assert result["control"] == {"file": "c.csv"}
-    assert document["photos"]["angles"] == "grid"
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from run_survey import make, raster, terrain_heights, variant, write_tiny
 import stereomate.project.run as running
 from stereomate.cli import main
 from stereomate.errors import CoverageError, FormatError, ImageError, OrientationError
+from stereomate.forms import STEREO
 from stereomate.rectify.engine import rectify_window
 from stereomate.stereo.agreement import measure_agreement
 from stereomate.stereo.product import product_record, read_products
@@ -284,9 +285,9 @@ def test_orthophoto_alone_removes_the_mate_of_the_run_before(copy):
 def test_newer_stereo_json_names_both_forms_and_is_kept(copy):
     project, out = copy
     path = out / "stereo.json"
-    path.write_text(path.read_text().replace('"format": 1', '"format": 7', 1))
+    path.write_text(path.read_text().replace(f'"format": {STEREO.version}', '"format": 7', 1))
     before = contents(out)
-    with pytest.raises(FormatError, match=r"reads format 1, got 7"):
+    with pytest.raises(FormatError, match=rf"form 7.*form {STEREO.version}"):
         make(project, out)
     assert contents(out) == before
     # Whoever asks for it gets it made anew.

@@ -1,6 +1,7 @@
 import re
 
-from stereomate.report.page import REPORT_FORMAT, Picture, ReportContent, Section, Table, report_html
+from stereomate.forms import RUN_PAGE
+from stereomate.report.page import Picture, ReportContent, Section, Table, report_html
 
 
 def content(**changes):
@@ -21,7 +22,7 @@ def test_the_page_is_self_contained_and_escaped():
     page = report_html(content())
     assert "Block &amp; Sons" in page
     assert "&lt;2&gt;" in page
-    assert f'name="stereomate-report-format" content="{REPORT_FORMAT}"' in page
+    assert f'name="stereomate-report-format" content="{RUN_PAGE.version}"' in page
     # Nothing is fetched: every source is embedded, no links to other hosts, no scripts.
     assert all(source.startswith("data:") for source in re.findall(r'src="([^"]*)"', page))
     assert "http" not in page

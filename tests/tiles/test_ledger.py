@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stereomate.errors import FormatError, StorageError
+from stereomate.forms import LEDGER
 from stereomate.tiles import Ledger, run_key
-from stereomate.tiles.ledger import LEDGER_FORMAT
 
 BLOBS = {"ortho": b"abc" * 100, "mate": b"", "lineage": bytes(range(256))}
 
@@ -65,8 +65,8 @@ def test_any_damaged_byte_and_any_cut_is_found(tmp_path_factory, data):
 
 def test_a_newer_ledger_is_an_error_that_names_both_formats(tmp_path):
     Ledger.open(tmp_path, "k")
-    (tmp_path / "manifest.json").write_text(json.dumps({"format": LEDGER_FORMAT + 1, "key": "k"}))
-    with pytest.raises(FormatError, match=rf"reads format {LEDGER_FORMAT}, got {LEDGER_FORMAT + 1}"):
+    (tmp_path / "manifest.json").write_text(json.dumps({"format": LEDGER.version + 1, "key": "k"}))
+    with pytest.raises(FormatError, match=rf"form {LEDGER.version + 1}.*form {LEDGER.version}"):
         Ledger.open(tmp_path, "k")
 
 

@@ -13,8 +13,8 @@ from typing import Final
 from stereomate.camera.distortion import BrownDistortion
 from stereomate.camera.model import Camera
 from stereomate.errors import ProjectError
+from stereomate.forms import PROJECT
 from stereomate.project.findings import Findings, FoundPhoto, look_through, photo_pattern
-from stereomate.project.schema import FORMAT
 from stereomate.project.sensors import DraftCamera, draft_camera
 from stereomate.raster.files import write_whole
 
@@ -102,7 +102,7 @@ def _project_section(found: Findings, to_do: list[str]) -> str:
 # `stereomate check` says what is missing or doubtful.
 
 [project]
-format = {FORMAT}
+format = {PROJECT.version}
 name = {_quoted(name)}
 {crs}
 # What all heights mean: "ellipsoidal", a vertical CRS ("EPSG:5773"), or a geoid grid file; [photos],

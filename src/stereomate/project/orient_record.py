@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from stereomate import __version__
 from stereomate.block.statistics import Reliability
+from stereomate.forms import ORIENTATION
 from stereomate.frames.attitude import AttitudeConvention, written_from_axes
 from stereomate.frames.transform import map_from_tangent
 from stereomate.project.orient_adjust import Adjusted
@@ -20,7 +21,6 @@ from stereomate.project.orient_measure import Measured
 
 Array = NDArray[np.float64]
 
-FORMAT: Final = 1
 _OPK: Final = AttitudeConvention("opk", "local", "deg")
 # A photograph whose angles contradict its stated ones by more than this is named.
 _TURNED: Final = math.radians(20.0)
@@ -70,7 +70,7 @@ def adjustment_record(
     used = result.used
     rays = np.bincount(result.network.image.photo[used], minlength=len(photos.names))
     return {
-        "format": FORMAT,
+        "format": ORIENTATION.version,
         "kind": "block adjustment",
         "software": f"stereomate {__version__}",
         "key": key,

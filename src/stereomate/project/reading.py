@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import difflib
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from pydantic import ValidationError
 
-from stereomate.errors import FormatError, ProjectError
-from stereomate.project.schema import FORMAT, ProjectFile, Section
+from stereomate import forms
+from stereomate.errors import ProjectError
+from stereomate.project.schema import ProjectFile, Section
 
 Model = TypeVar("Model", bound=Section)
 
@@ -24,7 +25,7 @@ def read_project_file(path: Path) -> ProjectFile:
     ProjectError
         If the file is missing, not TOML, or breaks a rule: file, key, rule and value are named.
     FormatError
-        If it was written for a newer stereomate.
+        If it was written for a newer stereomate, or its ``format`` is no version.
     """
     return parse_project(read_toml(path), path)
 
@@ -48,35 +49,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 def parse_project(document: Mapping[str, Any], path: Path) -> ProjectFile:
     """A project file from its TOML document; `path` is only named in messages."""
-    return validated(ProjectFile, migrated(document, path), path)
-
-
-# Version of the form -> function that turns a document of that version into the next one.
-MIGRATIONS: Final[dict[int, Callable[[dict[str, Any]], dict[str, Any]]]] = {}
-
-
-def migrated(document: Mapping[str, Any], path: Path) -> dict[str, Any]:
-    """The document in the newest form of the project file.
-
-    Raises
-    ------
-    FormatError
-        If the form is newer than this version of stereomate reads, or older than any migration reaches.
-    """
-    result = dict(document)
-    version = result.get("project", {}).get("format", 1) if isinstance(result.get("project"), dict) else 1
-    if isinstance(version, bool) or not isinstance(version, int) or version < 1:
-        raise ProjectError("must be a whole number from 1", file=path, field="project.format", value=version)
-    if version > FORMAT:
-        raise FormatError(
-            f"is of form {version}; this stereomate reads form {FORMAT} and older",
-            file=path,
-            field="project.format",
-            hint="install a newer stereomate",
-        )
-    for step in range(version, FORMAT):
-        result = MIGRATIONS[step](result)
-    return result
+    return validated(ProjectFile, forms.PROJECT.migrated(document, path), path)
 
 
 def validated(model: type[Model], document: Mapping[str, Any], path: Path) -> Model:

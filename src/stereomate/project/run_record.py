@@ -6,18 +6,17 @@ import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from stereomate import __version__
 from stereomate.errors import FormatError
+from stereomate.forms import RUN_REPORT
 from stereomate.project.accuracy_report import Judgement
 from stereomate.project.check_points import CheckPoints
 from stereomate.project.grid_effects import GridEffect
 from stereomate.project.run import ProductResult, RunResult
 from stereomate.raster.files import write_whole
 from stereomate.stereo.agreement import ParallaxStatistics
-
-RECORD_FORMAT: Final = 1
 
 
 def run_record(
@@ -37,7 +36,7 @@ def run_record(
     """
     project, coverage = result.project, result.coverage
     return {
-        "format": RECORD_FORMAT,
+        "format": RUN_REPORT.version,
         "kind": "stereomate report",
         "software": f"stereomate {__version__}",
         "made": dict(made),
@@ -102,17 +101,7 @@ def read_run_record(path: Path) -> dict[str, Any]:
         raise FormatError(f"cannot be read as JSON: {error}", file=path) from error
     if not isinstance(record, dict) or record.get("kind") != "stereomate report":
         raise FormatError("must be a report of stereomate", file=path, field="kind")
-    version = record.get("format")
-    if not isinstance(version, int) or version < 1:
-        raise FormatError("must be a whole number from 1", file=path, field="format", value=version)
-    if version > RECORD_FORMAT:
-        raise FormatError(
-            f"is of form {version}; this stereomate reads form {RECORD_FORMAT} and older",
-            file=path,
-            field="format",
-            hint="install a newer stereomate",
-        )
-    return record
+    return RUN_REPORT.migrated(record, path)
 
 
 def _product(made: ProductResult) -> dict[str, Any]:

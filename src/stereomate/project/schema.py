@@ -10,6 +10,7 @@ from typing import Annotated, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from stereomate.forms import PROJECT
 from stereomate.rectify.options import (
     Compression,
     DataType,
@@ -20,8 +21,6 @@ from stereomate.rectify.options import (
     Resampling,
     SeamKind,
 )
-
-FORMAT: Final = 1
 
 Two = Annotated[tuple[float, float], Field(strict=False)]
 Three = Annotated[tuple[float, float, float], Field(strict=False)]
@@ -53,7 +52,7 @@ class Section(BaseModel):
 class ProjectSection(Section):
     """``[project]``."""
 
-    format: int = FORMAT
+    format: int = PROJECT.version
     name: str = ""
     crs: str
     heights: str

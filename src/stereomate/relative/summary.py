@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.errors import NotDeterminedError
+from stereomate.forms import PAIR
 from stereomate.relative.automatic import AutomaticOrientation
 from stereomate.relative.diagnosis import GeometryDiagnosis
 from stereomate.relative.elements import Elements
 from stereomate.relative.orientation import RelativeOrientation
 from stereomate.relative.sixpoints import six_points
-
-FORMAT: Final = 1
 
 
 def pair_record(result: AutomaticOrientation, names: tuple[str, str], points: bool = True) -> dict[str, Any]:
@@ -36,7 +35,7 @@ def pair_record(result: AutomaticOrientation, names: tuple[str, str], points: bo
         one. Elements are there only where the orientation is determined.
     """
     record: dict[str, Any] = {
-        "format": FORMAT,
+        "format": PAIR.version,
         "kind": "relative orientation",
         "left": names[0],
         "right": names[1],

@@ -9,13 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import jinja2
 
+from stereomate.forms import RUN_PAGE
 from stereomate.raster.files import write_whole
-
-REPORT_FORMAT: Final = 1
 
 
 @dataclass(frozen=True)
@@ -80,7 +79,7 @@ def report_html(content: ReportContent) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template("run.html").render(content=content, format=REPORT_FORMAT)
+    return environment.get_template("run.html").render(content=content, format=RUN_PAGE.version)
 
 
 def write_report(path: Path, content: ReportContent) -> None:

@@ -12,13 +12,14 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from stereomate import __version__
 from stereomate.errors import FormatError, InputError
+from stereomate.forms import STEREO
 from stereomate.parallax.laws import ParallaxLaw, law_from_record
 from stereomate.raster.files import write_whole
 from stereomate.rectify.job import RectifyJob
@@ -28,8 +29,6 @@ from stereomate.rectify.seams import seams_from_record, seams_record
 from stereomate.stereo import measure as measuring
 from stereomate.stereo import record as rec
 from stereomate.stereo.lineage import lineage_of
-
-STEREO_FORMAT: Final = 1
 
 Record = dict[str, Any]
 
@@ -107,6 +106,10 @@ class StereoProduct:
                 return product
         names = ", ".join(repr(product.job.name) for product in products)
         raise FormatError(f"must be one of {names}", file=path, field="product", value=name)
+
+    def raster_beside(self, kind: str) -> Path:
+        """Where commands write a raster that belongs to the product: its ``surface``, its ``terrain`` check."""
+        return self.folder / (f"{kind}_{self.job.name}.tif" if self.job.name else f"{kind}.tif")
 
     def verify(self) -> None:
         """Check that height model and rasters are those of the product.
@@ -207,7 +210,7 @@ def write_stereo_json(path: Path, products: list[StereoProduct], run: Record) ->
         What the run says about itself: key of its definition, notes, inputs.
     """
     document = {
-        "format": STEREO_FORMAT,
+        "format": STEREO.version,
         "software": f"stereomate {__version__}",
         "run": run,
         "products": [product_record(p) for p in products],
@@ -230,18 +233,12 @@ def read_document(path: Path) -> Record:
         raise FormatError("does not exist", file=path) from error
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
         raise FormatError(f"is not JSON ({error})", file=path) from error
-    version = document.get("format") if isinstance(document, dict) else None
-    if not isinstance(version, int) or "products" not in document:
-        raise FormatError("is not a stereo.json", file=path, field="format", value=version)
-    if version > STEREO_FORMAT:
-        raise FormatError(
-            f"was written by a newer stereomate: this one reads format {STEREO_FORMAT}",
-            file=path,
-            field="format",
-            value=version,
-        )
-    known: Record = document
-    return known
+    if not isinstance(document, dict) or "products" not in document:
+        raise FormatError("is not a stereo.json", file=path)
+    try:
+        return STEREO.migrated(document, path)
+    except (KeyError, TypeError) as error:
+        raise FormatError(f"lacks or garbles a value ({error})", file=path, field="products") from error
 
 
 def read_products(path: Path) -> list[StereoProduct]:
@@ -282,8 +279,8 @@ def _product_from_record(record: Record, folder: Path) -> StereoProduct:
         bands=tuple(band - 1 for band in record["bands"]),
         dtype=np.dtype(record["dtype"]),
         options=options,
-        seams=seams_from_record(record.get("seams")),
-        balance=balance_from_record(record.get("balance")),
+        seams=seams_from_record(record["seams"]),
+        balance=balance_from_record(record["balance"]),
     )
     files = record["files"]
     names = ProductFiles(files["ortho"], files["lineage"], files["mate"], record["sha256"])

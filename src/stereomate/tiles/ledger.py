@@ -22,9 +22,8 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 from stereomate.errors import FormatError, StorageError
+from stereomate.forms import LEDGER
 from stereomate.raster.files import Buffer, storing, sweep, write_whole
-
-LEDGER_FORMAT: Final = 1
 
 _MAGIC: Final = b"SMCHUNK1"
 # magic, length of the index, CRC-32 of the index
@@ -85,7 +84,7 @@ class Ledger:
             if manifest is None or manifest.get("key") != key:
                 ledger._empty()
                 ledger._chunks_folder.mkdir(exist_ok=True)
-                text = json.dumps({"format": LEDGER_FORMAT, "key": key}, indent=1) + "\n"
+                text = json.dumps({"format": LEDGER.version, "key": key}, indent=1) + "\n"
                 write_whole(ledger._manifest_path, [text.encode()])
             ledger._chunks_folder.mkdir(exist_ok=True)
             sweep(ledger._chunks_folder)
@@ -187,17 +186,7 @@ class Ledger:
             raise FormatError("must be the manifest of a ledger", file=path, value=str(error)) from error
         if not isinstance(manifest, dict):
             raise FormatError("must be the manifest of a ledger", file=path, value=manifest)
-        version = manifest.get("format")
-        if not isinstance(version, int):
-            raise FormatError("must be the manifest of a ledger", file=path, field="format", value=version)
-        if version > LEDGER_FORMAT:
-            raise FormatError(
-                f"is of a newer version of stereomate, this one reads format {LEDGER_FORMAT}",
-                file=path,
-                field="format",
-                value=version,
-            )
-        return manifest
+        return LEDGER.migrated(manifest, path)
 
     def _empty(self) -> None:
         # The manifest of the other run goes first: half an emptied ledger must not be taken for a whole one.

@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from stereomate import __version__
+from stereomate.forms import PAGE
 from stereomate.frames.codes import epsg_code
 from stereomate.frames.transform import map_from_tangent
 from stereomate.rectify.job import RectifyJob
@@ -18,7 +19,6 @@ from stereomate.stereo.product import StereoProduct
 from stereomate.viewer.lattice import VALUES, MeasuringLattice
 from stereomate.viewer.layers import layer_size, layer_step
 
-SITE_FORMAT: Final = 1
 # Edge of a tile of the height model.
 HEIGHT_TILE: Final = 256
 # Nodes around what the product can ask for: bicubic interpolation needs two, places beside it some more.
@@ -59,7 +59,7 @@ def viewer_record(
     cols, rows = layer_size(grid.size)
     node_rows, node_cols = lattice.values.shape[:2]
     return {
-        "format": SITE_FORMAT,
+        "format": PAGE.version,
         "software": f"stereomate {__version__}",
         "name": job.name,
         "key": _key(product),

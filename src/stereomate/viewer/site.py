@@ -16,13 +16,15 @@ from typing import Any, Final
 import numpy as np
 
 from stereomate.errors import FormatError, InputError
+from stereomate.forms import PAGE
 from stereomate.raster.pyramid import PyramidReader, open_pyramid
 from stereomate.stereo.product import StereoProduct
 from stereomate.viewer import binary, layers
 from stereomate.viewer.imagery import TILE, Stretch, TileFormat, encode_image, read_tile, stretch_of
 from stereomate.viewer.lattice import MeasuringLattice, measuring_lattice
+from stereomate.viewer.objects import object_heights, surface_of
 from stereomate.viewer.points import read_points
-from stereomate.viewer.record import HEIGHT_TILE, SITE_FORMAT, HeightWindow, height_window, viewer_record
+from stereomate.viewer.record import HEIGHT_TILE, HeightWindow, height_window, viewer_record
 
 _EYE: Final = re.compile(r"(ortho|mate)/(\d{1,2})/(\d{1,6})_(\d{1,6})\.(?:jpg|png)")
 _PAIR: Final = re.compile(r"(lineage|heights)/(\d{1,6})_(\d{1,6})\.bin")
@@ -45,6 +47,8 @@ class SiteOptions:
         Shown on the page and on prints.
     points : Path, optional
         A table of control and check points to show: name, x, y, z and perhaps type.
+    surface : Path, optional
+        Heights of objects, as `stereomate heights` writes them; else those beside the product.
     """
 
     format: TileFormat = "jpg"
@@ -53,6 +57,7 @@ class SiteOptions:
     title: str = ""
     credits: str = ""
     points: Path | None = None
+    surface: Path | None = None
 
     def __post_init__(self) -> None:
         if self.format not in ("jpg", "png"):
@@ -79,6 +84,7 @@ class ProductSource:
         names = {"ortho": files.ortho, "mate": files.mate, "lineage": files.lineage}
         self._paths = {key: _inside(product.folder, name) for key, name in names.items() if name}
         self._lock = threading.RLock()
+        self._surface = surface_of(product, options.surface) if product.job.is_stereo else None
 
     @cached_property
     def _images(self) -> dict[str, PyramidReader]:
@@ -108,6 +114,7 @@ class ProductSource:
                 "eyes": [eye for eye in ("ortho", "mate") if eye in self._paths],
                 "stretch": {"low": self._stretch.low, "high": self._stretch.high},
             },
+            "objects": self._surface is not None,
             "points": read_points(self.options.points, self.product.job, self.product.folder),
             "title": self.options.title,
             "credits": self.options.credits,
@@ -125,6 +132,8 @@ class ProductSource:
                 yield f"lineage/{col}_{row}.bin"
         for col, row in _tile_range((self._heights.cols, self._heights.rows), HEIGHT_TILE):
             yield f"heights/{col}_{row}.bin"
+        if self._surface is not None:
+            yield "objects.bin"
         if self.product.job.is_stereo:
             for index in range(len(self.options.object_heights_m)):
                 yield f"homogeneity_{index}.bin"
@@ -153,6 +162,9 @@ class ProductSource:
         }
         if "lineage" in self._paths:
             simple["lineage.bin"] = lambda: binary.encode_numbers(layers.lineage(self._image("lineage")))
+        surface = self._surface
+        if surface is not None:
+            simple["objects.bin"] = lambda: binary.encode_floats(object_heights(self.product, surface))
         if name in simple:
             return simple[name]()
         if found := _EYE.fullmatch(name):
@@ -258,7 +270,7 @@ class Site:
     def _list(self) -> dict[str, Any]:
         jobs = [source.product.job for source in self.sources]
         return {
-            "format": SITE_FORMAT,
+            "format": PAGE.version,
             "products": [
                 {"name": job.name or "product", "folder": str(k), "stereo": job.is_stereo}
                 for k, job in enumerate(jobs)
