@@ -1,9 +1,10 @@
 """Relative orientation from correspondences: time and accuracy beside OpenCV's USAC and poselib.
 
-Peers run in a virtual environment of their own (`.venv-peers`, made with ``python -m venv .venv-peers`` and
-``pip install opencv-python-headless poselib``), in a process of their own, one thread, on the same
-correspondences written to a file; rows of peers that are not there, or crash, say so.
-Errors are paired: every seed is solved by all, and compared with least squares over the true inliers.
+OpenCV is the one this package itself runs with; poselib runs in a virtual environment of its own
+(`.venv-peers`, made with ``python -m venv .venv-peers`` and ``pip install poselib``). Every peer has a process of
+its own, one thread, and gets the same correspondences by a file; rows of peers that are not there, or crash,
+say so. Times are CPU times of the process: they do not count what else the machine does.
+Errors are paired: every seed is solved by both, and compared with least squares over the true inliers.
 """
 
 from __future__ import annotations
@@ -51,9 +52,9 @@ else:
         return cv2.findEssentialMat(left, right, matrix, method=method, prob=0.9999, threshold=threshold)
 solve()
 for _ in range(repetitions):
-    start = time.perf_counter()
+    start = time.process_time()
     solve()
-    times.append(1e3 * (time.perf_counter() - start))
+    times.append(1e3 * (time.process_time() - start))
 print(json.dumps(times))
 """
 
@@ -91,9 +92,9 @@ def run() -> list[dict[str, Any]]:
     for n in SIZES:
         for outliers in OUTLIERS:
             rows += _time_rows(n, outliers)
-    for outliers in OUTLIERS:
-        rows.append(_accuracy_row(1_000, outliers, SEEDS))
-    rows.append(_accuracy_row(10_000, 0.5, SEEDS))
+    for n in SIZES:
+        for outliers in OUTLIERS:
+            rows.append(_accuracy_row(n, outliers, SEEDS))
     return rows
 
 
@@ -119,9 +120,9 @@ def _milliseconds(solve: Any, left: Any, right: Any, repetitions: int) -> list[f
     solve(left, right)
     times = []
     for _ in range(repetitions):
-        start = time.perf_counter()
+        start = time.process_time()
         solve(left, right)
-        times.append(1e3 * (time.perf_counter() - start))
+        times.append(1e3 * (time.process_time() - start))
     return times
 
 
@@ -150,7 +151,7 @@ def _time_rows(n: int, outliers: float) -> list[dict[str, Any]]:
                 "peer": theirs,
                 "ratio": None if theirs is None else own / theirs,
                 "unit": "ms",
-                "note": "" if theirs is not None else "peer not installed or crashed",
+                "note": "CPU time" if theirs is not None else "peer not installed or crashed",
             }
         )
     if measured:
@@ -169,14 +170,15 @@ def _time_rows(n: int, outliers: float) -> list[dict[str, Any]]:
 
 
 def _peer_times(peer: str, left: Any, right: Any, repetitions: int) -> list[float]:
-    if not PEER_PYTHON.is_file():
+    python = PEER_PYTHON if peer == "poselib" else Path(sys.executable)
+    if not python.is_file():
         return []
     down = np.array([1.0, -1.0])
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "pair.npz"
         np.savez(path, left=left * down, right=right * down, focal=FOCAL_PX, threshold=THRESHOLD_PX)
         done = subprocess.run(
-            [str(PEER_PYTHON), "-c", PEER_CODE, peer, str(path), str(repetitions)],
+            [str(python), "-c", PEER_CODE, peer, str(path), str(repetitions)],
             capture_output=True,
             text=True,
             env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},

@@ -28,9 +28,9 @@ from stereomate.relative.empirical.procedure import (
 )
 from stereomate.relative.empirical.projectors import (
     MOTIONS,
+    PlotterModel,
     Projector,
     Setting,
-    StereoModel,
     model_from_image_coordinates,
     model_from_points,
     model_points,
@@ -121,7 +121,7 @@ class TestProjectors:
         np.testing.assert_allclose(jacobian[:, 3], y / z, rtol=1e-12, atol=1e-15)
 
     def test_rays_that_do_not_meet_below_are_nan(self):
-        model = StereoModel(("a",), np.array([[-0.5, 0.0, -1.0]]), np.array([[0.5, 0.0, -1.0]]))
+        model = PlotterModel(("a",), np.array([[-0.5, 0.0, -1.0]]), np.array([[0.5, 0.0, -1.0]]))
         assert math.isnan(y_parallaxes(model, Setting(1.0))[0])
         assert np.isnan(model_points(model, Setting(1.0))).all()
 
@@ -139,12 +139,12 @@ class TestProjectors:
     )
     def test_wrong_vectors_are_refused(self, left, message):
         with pytest.raises(InputError, match=message):
-            StereoModel(("a",), np.array(left), np.array([[0.0, 0.0, -1.0]]))
+            PlotterModel(("a",), np.array(left), np.array([[0.0, 0.0, -1.0]]))
 
     def test_other_wrong_input_is_refused(self):
         vectors = np.array([[0.0, 0.0, -1.0]] * 2)
         with pytest.raises(InputError, match="unique"):
-            StereoModel(("a", "a"), vectors, vectors)
+            PlotterModel(("a", "a"), vectors, vectors)
         with pytest.raises(InputError, match="base"):
             Setting(0.0)
         with pytest.raises(InputError, match="motion"):
@@ -457,7 +457,7 @@ class TestBadInput:
     def test_rays_that_do_not_meet_at_the_start(self):
         terrain = wide_angle()
         good = terrain.model(Setting(terrain.base), with_grid=False)
-        swapped = StereoModel(good.names, good.right, good.left)
+        swapped = PlotterModel(good.names, good.right, good.left)
         with pytest.raises(InputError, match="point 1"):
             run_empirical(swapped, Setting(terrain.base), dependent_pair())
 

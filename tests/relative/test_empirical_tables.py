@@ -7,11 +7,11 @@ import pytest
 
 from stereomate.errors import FormatError
 from stereomate.relative.empirical.notes import comparison_table, motion_symbol, operator_notes
-from stereomate.relative.empirical.point_table import read_point_table
 from stereomate.relative.empirical.procedure import dependent_pair, flat_rule, general_rule
 from stereomate.relative.empirical.projectors import Setting
 from stereomate.relative.empirical.run import EmpiricalOptions, run_empirical
 from stereomate.relative.empirical.scenes import StandardTerrain, wrong_orientation
+from stereomate.relative.point_table import read_point_table
 
 IMAGE = """# measured by hand
 point, x_left, y_left, x_right, y_right

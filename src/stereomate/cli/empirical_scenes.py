@@ -12,14 +12,14 @@ import typer
 if TYPE_CHECKING:
     from stereomate.relative.empirical.measured import MeasuredPair
     from stereomate.relative.empirical.procedure import Procedure
-    from stereomate.relative.empirical.projectors import Setting, StereoModel
+    from stereomate.relative.empirical.projectors import PlotterModel, Setting
 
 
 @dataclass(frozen=True)
 class Scene:
     """The model, where it starts, and a cross-section if one is known; `given` is what to compare with."""
 
-    model: StereoModel
+    model: PlotterModel
     start: Setting
     section: Any = None
     profiles: tuple[tuple[str, str, str], ...] = ()
@@ -120,33 +120,21 @@ def _measured(pair: MeasuredPair, profiles: int, given_by: str) -> Scene:
 
 def scene_of_table(path: Path, principal_distance: float | None, flight: Flight) -> Scene:
     """Image coordinates of both photographs, or ground points that are photographed first."""
-    import numpy as np
-
-    from stereomate.errors import FormatError, InputError
-    from stereomate.relative.empirical.point_table import read_point_table
+    from stereomate.errors import InputError
     from stereomate.relative.empirical.projectors import (
         Setting,
         model_from_image_coordinates,
         model_from_points,
     )
+    from stereomate.relative.measured_points import photo_coordinates
+    from stereomate.relative.point_table import load_point_table
 
-    try:
-        table = read_point_table(path.read_text(encoding="utf-8"), str(path))
-    except (OSError, UnicodeDecodeError) as error:
-        raise FormatError("must be a readable text file", file=path) from error
+    table = load_point_table(path, ("image", "terrain"))
     start = Setting(flight.base)
     if table.kind == "image":
         if principal_distance is None:
             raise InputError("is needed for image coordinates", field="--principal-distance")
-        if np.abs(table.values).max() > 3.0 * principal_distance:
-            raise InputError(
-                "must be millimetres like the principal distance",
-                file=path,
-                field="image coordinates",
-                value=float(np.abs(table.values).max()),
-                hint="pixels or fiducial units?",
-            )
-        left, right = table.values[:, :2], table.values[:, 2:]
+        left, right = photo_coordinates(table, path, (principal_distance, principal_distance))
         return Scene(model_from_image_coordinates(table.names, left, right, principal_distance), start)
     ground = table.values.copy()
     ground[:, 2] -= flight.flying_height

@@ -22,7 +22,7 @@ from stereomate.relative.empirical.measured import (
     require_six,
     section_labels,
 )
-from stereomate.relative.empirical.projectors import Setting, StereoModel
+from stereomate.relative.empirical.projectors import PlotterModel, Setting
 from stereomate.terrain.sections import section_axes
 
 FloatArray = NDArray[np.float64]
@@ -75,7 +75,7 @@ def measured_pair(
     base = float(np.linalg.norm(np.subtract(right.orientation.centre, left.orientation.centre)))
     return MeasuredPair(
         names=names,
-        model=StereoModel(tuple(kept), vectors[0], vectors[1]),
+        model=PlotterModel(tuple(kept), vectors[0], vectors[1]),
         profiles=tuple(profile for profile in profiles if set(profile) <= set(kept)),
         start=Setting(base),
         given=dependent_setting(base, turns[0][1], turns[1][1]),

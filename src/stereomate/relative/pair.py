@@ -214,6 +214,7 @@ def correspondences_from_pixels(
     right_px: ArrayLike,
     sigma_px: float | tuple[float, float] = 0.5,
     covariances_px: tuple[ArrayLike | None, ArrayLike | None] = (None, None),
+    weights: ArrayLike | None = None,
 ) -> Correspondences:
     """Correspondences from pixels of calibrated cameras.
 
@@ -225,6 +226,8 @@ def correspondences_from_pixels(
         Standard deviation of a measured coordinate, left and right.
     covariances_px : pair of array_like, shape (n, 3), or None
         (column column, column row, row row) per point instead of `sigma_px`, as least-squares matching gives.
+    weights : array_like, shape (n,), optional
+        One weight per point.
 
     Raises
     ------
@@ -259,7 +262,13 @@ def correspondences_from_pixels(
         in_pixels = np.array([[s2, 0.0, s2]]) if of_point is None else np.asarray(of_point, dtype=np.float64)
         covariances.append(_ray_covariance(camera, pixels, in_pixels))
     return Correspondences(
-        rays[0], rays[1], covariances[0], covariances[1], (distances[0], distances[1]), "px"
+        rays[0],
+        rays[1],
+        covariances[0],
+        covariances[1],
+        (distances[0], distances[1]),
+        "px",
+        None if weights is None else np.asarray(weights, dtype=np.float64),
     )
 
 

@@ -14,7 +14,7 @@ from stereomate.errors import InputError, NotDeterminedError
 from stereomate.geometry.rotations import opk_from_rotation, rotation_z
 from stereomate.relative.automatic import AutomaticOrientation
 from stereomate.relative.diagnosis import model_points
-from stereomate.relative.empirical.projectors import Projector, Setting, StereoModel
+from stereomate.relative.empirical.projectors import PlotterModel, Projector, Setting
 from stereomate.relative.pair import RelativePose
 
 FloatArray = NDArray[np.float64]
@@ -33,7 +33,7 @@ class MeasuredPair:
     ----------
     names : (str, str)
         Left and right photograph.
-    model : StereoModel
+    model : PlotterModel
         Points 1 to 6 (1, 3, 5 nearest to the left centre, 2, 4, 6 to the right one) and those of the
         sections between as ``p1.1``, ``p1.3``, ``p1.5`` and so on; photographs laid in by whole degrees.
     profiles : tuple of (str, str, str)
@@ -50,7 +50,7 @@ class MeasuredPair:
     """
 
     names: tuple[str, str]
-    model: StereoModel
+    model: PlotterModel
     profiles: tuple[tuple[str, str, str], ...]
     start: Setting
     given: Setting
@@ -133,7 +133,7 @@ def measured_photographs(
     found = tuple(labels[k] for k in kept)
     return MeasuredPair(
         names=names,
-        model=StereoModel(found, vectors[0], vectors[1]),
+        model=PlotterModel(found, vectors[0], vectors[1]),
         profiles=tuple(profile for profile in profiles if set(profile) <= set(found)),
         start=Setting(base),
         given=_given(base, orientation.pose, turns),

@@ -83,7 +83,7 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class StereoModel:
+class PlotterModel:
     """Points of a model as seen in both photographs.
 
     Attributes
@@ -130,13 +130,13 @@ class StereoModel:
             )
         return self.names.index(name)
 
-    def only(self, names: Sequence[str]) -> StereoModel:
+    def only(self, names: Sequence[str]) -> PlotterModel:
         """The model of some of its points, in the order asked for."""
         rows = [self.index(name) for name in names]
-        return StereoModel(tuple(names), self.left[rows], self.right[rows])
+        return PlotterModel(tuple(names), self.left[rows], self.right[rows])
 
 
-def model_from_points(names: Sequence[str], points: ArrayLike, truth: Setting) -> StereoModel:
+def model_from_points(names: Sequence[str], points: ArrayLike, truth: Setting) -> PlotterModel:
     """What two photographs with a known orientation see of given points.
 
     Parameters
@@ -159,12 +159,12 @@ def model_from_points(names: Sequence[str], points: ArrayLike, truth: Setting) -
         (ground - truth.centre(number)) @ projector.rotation
         for number, projector in ((1, truth.left), (2, truth.right))
     ]
-    return StereoModel(tuple(names), *vectors)
+    return PlotterModel(tuple(names), *vectors)
 
 
 def model_from_image_coordinates(
     names: Sequence[str], left: ArrayLike, right: ArrayLike, principal_distance: float
-) -> StereoModel:
+) -> PlotterModel:
     """The model of measured image coordinates, x right and y up, in the unit of the principal distance.
 
     Parameters
@@ -182,10 +182,10 @@ def model_from_image_coordinates(
         if xy.ndim != 2 or xy.shape[1] != 2:
             raise InputError("must have shape (n, 2)", field=f"{side} image coordinates", value=xy.shape)
         vectors.append(np.column_stack((xy, np.full(len(xy), -principal_distance))))
-    return StereoModel(tuple(names), *vectors)
+    return PlotterModel(tuple(names), *vectors)
 
 
-def y_parallaxes(model: StereoModel, setting: Setting) -> FloatArray:
+def y_parallaxes(model: PlotterModel, setting: Setting) -> FloatArray:
     """y-parallax at each point: left minus right where the x-parallax is removed, metres in the model.
 
     Returns
@@ -196,17 +196,17 @@ def y_parallaxes(model: StereoModel, setting: Setting) -> FloatArray:
     return _measure(model, setting)[0][:, 0]
 
 
-def model_points(model: StereoModel, setting: Setting) -> FloatArray:
+def model_points(model: PlotterModel, setting: Setting) -> FloatArray:
     """Model coordinates (n, 3), x-parallax removed, y from the middle of the two rays; nan as above."""
     return _measure(model, setting)[0][:, 1:]
 
 
-def parallax_jacobian(model: StereoModel, setting: Setting, motions: Sequence[Motion]) -> FloatArray:
+def parallax_jacobian(model: PlotterModel, setting: Setting, motions: Sequence[Motion]) -> FloatArray:
     """Derivatives of the y-parallaxes by motions, shape (n, motions), metres per metre or radian; or nan."""
     return _measure(model, setting)[1][:, [MOTIONS.index(motion) for motion in motions]]
 
 
-def _measure(model: StereoModel, setting: Setting) -> tuple[FloatArray, FloatArray]:
+def _measure(model: PlotterModel, setting: Setting) -> tuple[FloatArray, FloatArray]:
     points, jacobian = np.empty((len(model.names), 4)), np.empty((len(model.names), 10))
     kernels.measure(model.left, model.right, setting.parameters(), points, jacobian)
     return points, jacobian

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.relative.empirical.procedure import Procedure
-from stereomate.relative.empirical.projectors import Motion, Setting, StereoModel
+from stereomate.relative.empirical.projectors import Motion, PlotterModel, Setting
 
 FloatArray = NDArray[np.float64]
 Kind = Literal["clear", "over-correct", "profiles"]
@@ -57,7 +57,7 @@ class EmpiricalRun:
 
     Attributes
     ----------
-    model : StereoModel
+    model : PlotterModel
     procedure : Procedure
     notes : tuple of StepNote
     settings : tuple of Setting
@@ -73,7 +73,7 @@ class EmpiricalRun:
         n at the end from the exact derivatives: how much of a remaining parallax the tilt error is.
     """
 
-    model: StereoModel
+    model: PlotterModel
     procedure: Procedure
     notes: tuple[StepNote, ...]
     settings: tuple[Setting, ...]

@@ -12,8 +12,8 @@ from stereomate.errors import InputError, NotDeterminedError
 from stereomate.relative.empirical.procedure import Procedure, Rule, Situation, Step, general_rule
 from stereomate.relative.empirical.projectors import (
     ANGLES,
+    PlotterModel,
     Setting,
-    StereoModel,
     model_points,
     parallax_jacobian,
     y_parallaxes,
@@ -71,7 +71,7 @@ class EmpiricalOptions:
             raise InputError("must be finite and not negative", field="parallax_std", value=self.parallax_std)
 
 
-def eliminate(model: StereoModel, setting: Setting, step: Step, target: float = 0.0) -> Setting:
+def eliminate(model: PlotterModel, setting: Setting, step: Step, target: float = 0.0) -> Setting:
     """The setting with the y-parallax at the step's point brought to `target` with its motion alone.
 
     Raises
@@ -100,7 +100,7 @@ def eliminate(model: StereoModel, setting: Setting, step: Step, target: float = 
 
 
 def run_empirical(
-    model: StereoModel,
+    model: PlotterModel,
     start: Setting,
     procedure: Procedure,
     rule: Rule = general_rule,
@@ -114,7 +114,7 @@ def run_empirical(
 
     Parameters
     ----------
-    model : StereoModel
+    model : PlotterModel
         Points seen in both photographs; those beyond the procedure's are looked at, not used.
     start : Setting
         Setting to begin with; bx stays.
@@ -155,7 +155,7 @@ def run_empirical(
     )
 
 
-def whole_factor(model: StereoModel, setting: Setting, procedure: Procedure) -> float:
+def whole_factor(model: PlotterModel, setting: Setting, procedure: Procedure) -> float:
     """n from the exact derivatives at the points where the procedure clears and over-corrects.
 
     What ω does to the parallax at the corrected point alone, over what it does when the clearing steps
@@ -183,7 +183,7 @@ class _Operator:
     """The hand at the wheels: keeps the notes, the history of p* and the random errors of reading."""
 
     def __init__(
-        self, model: StereoModel, procedure: Procedure, rule: Rule, options: EmpiricalOptions
+        self, model: PlotterModel, procedure: Procedure, rule: Rule, options: EmpiricalOptions
     ) -> None:
         for name in procedure.points:
             model.index(name)
@@ -323,7 +323,7 @@ class _Operator:
         )
 
 
-def _depth(point: StereoModel, setting: Setting, step: Step) -> float:
+def _depth(point: PlotterModel, setting: Setting, step: Step) -> float:
     depth = -float(model_points(point, setting)[0, 2])
     if not math.isfinite(depth):
         raise NotDeterminedError(f"{step.motion} at point {step.point}: the rays do not meet")
@@ -331,7 +331,7 @@ def _depth(point: StereoModel, setting: Setting, step: Step) -> float:
 
 
 def _judge(
-    table: FloatArray, setting: Setting, model: StereoModel, amplification: float, options: EmpiricalOptions
+    table: FloatArray, setting: Setting, model: PlotterModel, amplification: float, options: EmpiricalOptions
 ) -> tuple[Outcome, str]:
     """Outcome when all cycles could be made, from the parallaxes (cycles + 1, points)."""
     largest = np.abs(table).max(axis=1)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.errors import InputError
-from stereomate.relative.empirical.projectors import Projector, Setting, StereoModel, model_from_points
+from stereomate.relative.empirical.projectors import PlotterModel, Projector, Setting, model_from_points
 
 FloatArray = NDArray[np.float64]
 
@@ -76,7 +76,7 @@ class StandardTerrain:
         names = tuple(f"g{row + 1}.{column + 1}" for row in range(rows) for column in range(columns))
         return names, points.reshape(-1, 3)
 
-    def model(self, truth: Setting, with_grid: bool = True) -> StereoModel:
+    def model(self, truth: Setting, with_grid: bool = True) -> PlotterModel:
         """What photographs with the orientation `truth` see of it."""
         names: tuple[str, ...] = STANDARD_POINTS
         points = self.points()
@@ -125,7 +125,7 @@ def wrong_orientation(
 
 def section_profiles(
     terrain: StandardTerrain, truth: Setting, positions: Sequence[float]
-) -> tuple[StereoModel, tuple[tuple[str, str, str], ...]]:
+) -> tuple[PlotterModel, tuple[tuple[str, str, str], ...]]:
     """The model with cross-sections at several places along the base, and their points by name.
 
     Parameters
