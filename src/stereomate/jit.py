@@ -12,13 +12,13 @@ nothing else.
 
 from __future__ import annotations
 
-import ast
 import functools
 import hashlib
 import inspect
 import os
+import re
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -28,6 +28,12 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 BOUNDSCHECK = os.environ.get("STEREOMATE_BOUNDSCHECK", "0") == "1"
 _PACKAGE = Path(__file__).parent
+# `import package.module`, or `from package.module import names`, in one line or in parentheses.
+_IMPORT = re.compile(
+    rf"^[ \t]*(?:from|import)[ \t]+(?P<module>{_PACKAGE.name}[\w.]*)"
+    r"(?:[ \t]+import[ \t]+(?P<names>\([^)]*\)|[^\n]*))?",
+    re.MULTILINE,
+)
 
 
 def kernel(function: F) -> F:
@@ -70,20 +76,14 @@ def _closure(source: Path) -> set[Path]:
 @functools.cache
 def _imported(source: Path) -> tuple[Path, ...]:
     """Files of this package that a source file imports by name."""
-    return tuple(
-        file
-        for node in ast.walk(ast.parse(source.read_bytes()))
-        for module in _modules(node)
-        if (file := _file(module)) is not None
-    )
-
-
-def _modules(node: ast.AST) -> Iterator[str]:
-    if isinstance(node, ast.Import):
-        yield from (alias.name for alias in node.names)
-    elif isinstance(node, ast.ImportFrom) and node.module:
-        yield node.module
-        yield from (f"{node.module}.{alias.name}" for alias in node.names)
+    # Reading statements is ten times as fast as parsing the file, and this is done at every start.
+    found = []
+    for statement in _IMPORT.finditer(source.read_text(encoding="utf-8")):
+        module = statement["module"]
+        names = re.sub(r"#.*", "", statement["names"] or "").strip("()")
+        members = [name.split()[0] for name in names.split(",") if name.strip()]
+        found += [_file(name) for name in (module, *(f"{module}.{member}" for member in members))]
+    return tuple(file for file in found if file is not None)
 
 
 def _file(module: str) -> Path | None:

@@ -13,9 +13,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import pyogrio
 import shapely
-from pyogrio.errors import DataLayerError, DataSourceError
 
 from stereomate.errors import FormatError, StorageError
 from stereomate.raster.files import storing
@@ -57,6 +55,10 @@ def write_seams(path: Path, records: Sequence[SeamRecord], crs: str) -> None:
     StorageError
         If the file cannot be written.
     """
+    # One product of one model has no seams: its run does without this library.
+    import pyogrio
+    from pyogrio.errors import DataSourceError
+
     text = {name: np.array([getattr(r, name) for r in records], np.object_) for name in COLUMNS}
     numbers = {
         "base_height": np.array([r.base_height for r in records], np.float64),
@@ -89,6 +91,9 @@ def read_seams(path: Path) -> tuple[list[SeamRecord], str]:
     FormatError
         If it is no such file, lacks the layer or a column, or a feature has no usable polygon.
     """
+    import pyogrio
+    from pyogrio.errors import DataLayerError, DataSourceError
+
     if not path.is_file():
         raise FormatError("does not exist", file=path)
     try:

@@ -8,9 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyogrio
 import shapely
-from pyogrio.errors import DataSourceError
 
 from stereomate.errors import FormatError
 
@@ -40,6 +38,10 @@ def read_features(path: Path) -> FeatureFile:
     FormatError
         If the file is missing, no vector file, or holds no geometry.
     """
+    # Most projects have no such file: their runs start without this library.
+    import pyogrio
+    from pyogrio.errors import DataSourceError
+
     if not path.is_file():
         raise FormatError("does not exist", file=path)
     try:

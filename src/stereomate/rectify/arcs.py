@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-import scipy.sparse
-import scipy.sparse.csgraph
+import scipy  # its parts load when they are used
 import shapely
 from numpy.typing import NDArray
 

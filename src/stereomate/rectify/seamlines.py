@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-import scipy.ndimage
+import scipy  # its parts load when they are used
 from numpy.typing import NDArray
 
 from stereomate.raster import Window

@@ -17,7 +17,7 @@ from typing import Final
 
 import cv2
 import numpy as np
-import scipy.ndimage
+import scipy  # its parts load when they are used
 from numpy.typing import NDArray
 
 from stereomate.raster import Window
