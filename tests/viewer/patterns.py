@@ -33,7 +33,7 @@ class PatternSite:
         if name == "data/0/product.json":
             record = json.loads(self.site.read(name))
             record["tiles"]["format"] = "png"
-            record["key"] = "pattern"
+            record["key"] = record["version"] = "pattern"
             return json.dumps(record).encode()
         found = _TILE.fullmatch(name)
         if not found:

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from browsing import SURVEY, serving
 
+from stereomate.stereo.measure import Flag, MeasureOptions
 from stereomate.stereo.product import StereoProduct
+from stereomate.terrain.model import HeightModel
 from stereomate.viewer.site import Site
 
-MEASURE = """async ([base, pairs, sigma]) => {
+MEASURE = """async ([base, pairs, accuracy]) => {
   const { Product } = await import(base + 'product.js');
   const product = await Product.open(base + 'data/0');
   const out = [];
   for (const [left, right] of pairs) {
-    const m = await product.measure(left, right, sigma);
-    out.push({ point: m.point, sigma: m.sigma, covariance: m.covariance, law: m.lawHeight, flags: m.flags,
+    const m = await product.measure(left, right, accuracy);
+    out.push({ point: m.point, sigma: m.sigma, covariance: m.covariance,
+               orientation: m.orientationCovariance, law: m.lawHeight, flags: m.flags,
                photographs: m.photographs, miss: m.miss, y: m.yParallax, degrees: m.degrees,
                standardized: m.standardized, ground: m.groundHeight });
   }
@@ -23,10 +28,19 @@ MEASURE = """async ([base, pairs, sigma]) => {
 }"""
 
 
-def in_page(browser, address, pairs, sigma_px):
+# 0.3 pixels, and orientations as a good block has them.
+ACCURACY = MeasureOptions(sigma_px=0.3, centre_sigma_m=0.03, angle_sigma_rad=5e-5)
+
+
+def in_page(browser, address, pairs):
     page = browser.new_page()
     page.goto(address + "product.js")
-    found = page.evaluate(MEASURE, [address, [[a.tolist(), b.tolist()] for a, b in pairs], sigma_px])
+    accuracy = {
+        "px": ACCURACY.sigma_px,
+        "centre": ACCURACY.centre_sigma_m,
+        "angle": ACCURACY.angle_sigma_rad,
+    }
+    found = page.evaluate(MEASURE, [address, [[a.tolist(), b.tolist()] for a, b in pairs], accuracy])
     page.close()
     return found
 
@@ -44,8 +58,8 @@ def random_pairs(job, count, seed):
 def both(product, browser, address):
     job = product.job
     left, right = random_pairs(job, 250, 1)
-    python = product.measure(job.grid.map_from_pixel(left), job.grid.map_from_pixel(right))
-    return python, in_page(browser, address, list(zip(left, right, strict=True)), 0.3)
+    python = product.measure(job.grid.map_from_pixel(left), job.grid.map_from_pixel(right), ACCURACY)
+    return python, in_page(browser, address, list(zip(left, right, strict=True)))
 
 
 def test_points_equal_python(both):
@@ -61,6 +75,11 @@ def test_points_equal_python(both):
     covariance = np.array([m["covariance"] for m in page if m["point"]])
     scale = np.sqrt(np.einsum("nii,njj->nij", python.covariance[measured], python.covariance[measured]))
     np.testing.assert_allclose(covariance / scale, python.covariance[measured] / scale, atol=1e-4)
+    orientation = np.array([m["orientation"] for m in page if m["point"]])
+    share = python.orientation_covariance[measured]
+    scale = np.sqrt(np.einsum("nii,njj->nij", share, share))
+    assert (scale > 0.0).all()
+    np.testing.assert_allclose(orientation / scale, share / scale, atol=1e-4)
     miss = np.array([m["miss"] for m in page if m["point"]])
     np.testing.assert_allclose(miss, python.miss_m[measured], atol=1e-4)
 
@@ -68,12 +87,34 @@ def test_points_equal_python(both):
 def test_flags_and_lineage_equal_python(both):
     python, page = both
     np.testing.assert_array_equal([m["photographs"] for m in page], python.photographs)
-    # the page does not trace rays to the height model
-    hidden = 256
-    np.testing.assert_array_equal([m["flags"] & ~hidden for m in page], python.flags & ~hidden)
+    np.testing.assert_array_equal([m["flags"] for m in page], python.flags)
     measured = python.measured
     law = np.array([m["law"] for m in page])[measured]
     np.testing.assert_allclose(law, python.law_heights[measured], atol=1e-9)
+
+
+def test_hidden_ground_equals_python(product, browser):
+    """Walls in the height model hide ground behind them: from the same photographs in page and Python."""
+    job = product.job
+    rows, cols = job.heights.shape
+    heights = np.array(job.heights.patch(0, 0, cols, rows).heights)
+    heights[:, np.arange(cols) // 4 % 3 == 0] += 15.0
+    heights[np.arange(rows) // 5 % 3 == 0] += 10.0
+    walled = dataclasses.replace(
+        job,
+        heights=HeightModel.from_array(heights, job.heights.affine, job.heights.frame),
+        height_range=(job.height_range[0], job.height_range[1] + 25.0),
+    )
+    product = dataclasses.replace(product, job=walled)
+    left, right = random_pairs(walled, 200, 3)
+    python = product.measure(job.grid.map_from_pixel(left), job.grid.map_from_pixel(right), ACCURACY)
+    site = Site([product])
+    with serving(site) as address:
+        page = in_page(browser, address, list(zip(left, right, strict=True)))
+    site.close()
+    hidden = (python.flags & int(Flag.HIDDEN)) != 0
+    assert 10 < hidden.sum() < python.measured.sum() - 10
+    np.testing.assert_array_equal([m["flags"] for m in page], python.flags)
 
 
 @pytest.mark.slow
@@ -90,10 +131,10 @@ def test_rotated_grid_other_law_and_bicubic_heights(browser, tmp_path):
     job = product.job
     assert abs(job.grid.rotation) > 0.3
     left, right = random_pairs(job, 120, 2)
-    python = product.measure(job.grid.map_from_pixel(left), job.grid.map_from_pixel(right))
+    python = product.measure(job.grid.map_from_pixel(left), job.grid.map_from_pixel(right), ACCURACY)
     site = Site([product])
     with serving(site) as address:
-        page = in_page(browser, address, list(zip(left, right, strict=True)), 0.3)
+        page = in_page(browser, address, list(zip(left, right, strict=True)))
     site.close()
     measured = python.measured
     assert measured.sum() > 20
@@ -101,4 +142,4 @@ def test_rotated_grid_other_law_and_bicubic_heights(browser, tmp_path):
     np.testing.assert_allclose(points, python.points[measured], atol=5e-4)
     sigma = np.array([m["sigma"] for m in page if m["point"]])
     np.testing.assert_allclose(sigma, python.sigma[measured], rtol=1e-4)
-    np.testing.assert_array_equal([m["flags"] & ~256 for m in page], python.flags & ~256)
+    np.testing.assert_array_equal([m["flags"] for m in page], python.flags)

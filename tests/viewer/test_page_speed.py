@@ -46,7 +46,7 @@ class LargeSite:
             record["grid"]["size"] = [SIZE, SIZE]
             record["tiles"]["levels"] = 1 + int(np.ceil(np.log2(SIZE / TILE)))
             record["layers"] = {"cols": cells, "rows": cells, "step": self.step}
-            record["key"] = "large"
+            record["key"] = record["version"] = "large"
             return json.dumps(record).encode()
         if name == "data/0/relief.bin":
             cells = -(-SIZE // self.step)

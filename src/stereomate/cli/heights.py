@@ -48,7 +48,7 @@ def _heights(
 
     settings: Settings = context.obj
     opened = StereoProduct.open(product, name)
-    path = out or opened.folder / _file("surface", opened)
+    path = out or opened.raster_beside("surface")
     with progress_of(settings, as_json) as progress:
         summary = _surface(opened, path, _options(above, below, step), settings.threads, progress)
     if as_json:
@@ -91,12 +91,12 @@ def _terrain(
         options = TerrainOptions(
             ground=GroundOptions(largest_object_m=largest_object), surface=_options(above, below, step)
         )
-        surface = opened.folder / _file("surface", opened)
+        surface = opened.raster_beside("surface")
         matched = _surface(opened, surface, options.surface, settings.threads, progress)
         found = check_terrain(
             opened,
             surface,
-            opened.folder / _file("terrain", opened),
+            opened.raster_beside("terrain"),
             options,
             repaired=repair,
             threads=settings.threads,
@@ -112,10 +112,6 @@ def _terrain(
         _print_terrain(found)
         if remake is not None:
             typer.echo(f"products over the corrected height model: {remake}")
-
-
-def _file(kind: str, product: StereoProduct) -> str:
-    return f"{kind}_{product.job.name}.tif" if product.job.name else f"{kind}.tif"
 
 
 def _options(above: float, below: float, step: int) -> SurfaceOptions:

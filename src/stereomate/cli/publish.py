@@ -38,6 +38,16 @@ def _publish(
     ] = None,
     title: Annotated[str, typer.Option("--title", help="Shown on the page and on prints.")] = "",
     credit: Annotated[str, typer.Option("--credits", help="Shown on the page and on prints.")] = "",
+    centre_sigma: Annotated[
+        float, typer.Option("--centre-sigma", help="Standard deviation of projection centres, metres.")
+    ] = 0.0,
+    angle_sigma: Annotated[
+        float, typer.Option("--angle-sigma", help="Standard deviation of their rotations, degrees.")
+    ] = 0.0,
+    surface: Annotated[
+        Path | None,
+        typer.Option("--surface", help="Heights of objects to show [default: surface.tif of OUT]."),
+    ] = None,
     verify: Annotated[
         bool, typer.Option("--verify/--no-verify", help="Compare hashes of rasters and height model.")
     ] = True,
@@ -48,8 +58,17 @@ def _publish(
     from stereomate.viewer.site import SiteOptions
 
     settings: Settings = context.obj
-    kind = "png" if lossless else "jpg"
-    options = SiteOptions(kind, quality, heights_of_text(object_heights), title, credit, points)  # type: ignore[arg-type]
+    options = SiteOptions(
+        "png" if lossless else "jpg",
+        quality,
+        heights_of_text(object_heights),
+        title,
+        credit,
+        points,
+        surface,
+        centre_sigma,
+        angle_sigma,
+    )
     site = open_site(product, name, options, verify)
     try:
         with progress_of(settings, as_json) as progress:

@@ -30,6 +30,18 @@ def _view(
     points: Annotated[
         Path | None, typer.Option("--points", help="Control and check points to show: name, x, y, z, type.")
     ] = None,
+    title: Annotated[str, typer.Option("--title", help="Shown on the page and on prints.")] = "",
+    credit: Annotated[str, typer.Option("--credits", help="Shown on the page and on prints.")] = "",
+    centre_sigma: Annotated[
+        float, typer.Option("--centre-sigma", help="Standard deviation of projection centres, metres.")
+    ] = 0.0,
+    angle_sigma: Annotated[
+        float, typer.Option("--angle-sigma", help="Standard deviation of their rotations, degrees.")
+    ] = 0.0,
+    surface: Annotated[
+        Path | None,
+        typer.Option("--surface", help="Heights of objects to show [default: surface.tif of OUT]."),
+    ] = None,
     verify: Annotated[
         bool, typer.Option("--verify/--no-verify", help="Compare hashes of rasters and height model.")
     ] = True,
@@ -54,7 +66,12 @@ def _view(
         "png" if lossless else "jpg",
         quality,
         heights_of_text(object_heights),
-        points=points,
+        title,
+        credit,
+        points,
+        surface,
+        centre_sigma,
+        angle_sigma,
     )
     site = open_site(product, name, options, verify)
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, cast
@@ -48,6 +49,8 @@ class RasterInfo:
         WKT2 of the horizontal (or compound) CRS, "" where the file states none.
     transform : tuple of 6 floats or None
         (a, b, c, d, e, f): x = a col + b row + c, y = d col + e row + f; None where the file states none.
+    tags : mapping of str to str
+        Metadata of the file.
     """
 
     path: Path
@@ -62,6 +65,7 @@ class RasterInfo:
     is_windowed: bool
     crs_wkt: str
     transform: Affine6 | None
+    tags: Mapping[str, str]
 
     @property
     def alpha_band(self) -> int | None:
@@ -101,6 +105,7 @@ def info_of(path: Path, handle: Any) -> RasterInfo:
         is_windowed=_is_windowed(handle),
         crs_wkt=crs.to_wkt(version="WKT2_2019") if crs else "",
         transform=None if handle.transform.is_identity else cast(Affine6, transform),
+        tags=dict(handle.tags()),
     )
 
 

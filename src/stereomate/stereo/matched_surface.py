@@ -48,6 +48,8 @@ BANDS: Final = (
     "correlation of the matched windows",
 )
 HEIGHT, ABOVE, SIGMA, MISS, CORRELATION = range(5)
+# Of which orthophoto a surface is: SHA-256.
+ORTHO_TAG: Final = "STEREOMATE_ORTHO_SHA256"
 
 _BLOCK: Final = 512
 # A window of half width r lowers a ridge of slopes s and -s by s r / 2; the bend over r is 2 s r.
@@ -351,6 +353,7 @@ def write_surface(
             "TIFFTAG_SOFTWARE": f"stereomate {__version__}",
             "STEREOMATE_PRODUCT": "surface",
             "STEREOMATE_HEIGHT_MODEL_SHA256": product.height_model_hash,
+            ORTHO_TAG: product.files.hashes.get(product.files.ortho, ""),
         }
         place = Georeference(product.job.frame.crs, grid.affine, items)
         assemble_cog(path, surface_profile(), plan, ledger, "surface", place)

@@ -23,6 +23,7 @@ from stereomate.frames.mapframe import MapFrame
 from stereomate.frames.transform import map_from_map
 from stereomate.raster import Window
 from stereomate.rectify.job import RectifyJob
+from stereomate.viewer.sight import sight_reach_m
 
 Floats = NDArray[np.float64]
 
@@ -96,9 +97,10 @@ def measuring_lattice(job: RectifyJob) -> MeasuringLattice:
         If a node lies outside a projection, a geoid grid or a datum transformation.
     """
     size = max(job.grid.size)
+    margin = _margin_px(job)
     step = min(_LARGEST_STEP, max(_SMALLEST_STEP, 2 ** math.floor(math.log2(max(size, 2) / 2))))
     while True:
-        lattice = _lattice(job, step)
+        lattice = _lattice(job, step, margin)
         good = lattice.error_m <= TOLERANCE_M and lattice.error_dem_px <= TOLERANCE_DEM_PX
         finer = 4 * lattice.values.shape[0] * lattice.values.shape[1]
         if good or step <= _SMALLEST_STEP or finer > _MOST_NODES:
@@ -106,11 +108,22 @@ def measuring_lattice(job: RectifyJob) -> MeasuringLattice:
         step //= 2
 
 
-def _lattice(job: RectifyJob, step: int) -> MeasuringLattice:
+def _margin_px(job: RectifyJob) -> int:
+    """Pixels beside the product over which rays to hidden ground are followed."""
+    if not job.is_stereo:
+        return 0
+    cols, rows = job.grid.size
+    corners = [_exact_at(job, float(col), float(row))[6:8] for col in (0, cols) for row in (0, rows)]
+    known = np.array([corner for corner in corners if np.isfinite(corner).all()])
+    return math.ceil(sight_reach_m(job, known) / (job.grid.gsd * job.frame.unit_m)) if len(known) else 0
+
+
+def _lattice(job: RectifyJob, step: int, margin: int) -> MeasuringLattice:
     cols, rows = job.grid.size
     largest = max((abs(float(q)) for q in job.law.q(job.height_range) if np.isfinite(q)), default=0.0)
     reach = math.ceil(largest / job.grid.gsd) if job.is_stereo else 0
-    window = Window(-reach - 2 * step, -2 * step, cols + 2 * reach + 4 * step, rows + 4 * step)
+    wide, high = max(reach, margin) + 2 * step, margin + 2 * step
+    window = Window(-wide, -high, cols + 2 * wide, rows + 2 * high)
     found = ground_lattice(
         job.grid.affine,
         window,

@@ -62,7 +62,7 @@ def viewer_record(
         "format": PAGE.version,
         "software": f"stereomate {__version__}",
         "name": job.name,
-        "key": _key(product),
+        "key": product_key(product),
         "grid": {
             "u0": grid.u0,
             "v0": grid.v0,
@@ -91,6 +91,7 @@ def viewer_record(
             "model_size": [job.heights.shape[1], job.heights.shape[0]],
             "cell_m": list(cell),
             "scale": lattice.dem_scale,
+            "highest": _highest(job, window),
         },
         "lattice": {
             "col0": lattice.col0,
@@ -108,6 +109,12 @@ def viewer_record(
         "models": [[m.left, m.right] for m in job.models],
         "agreement": _agreement(product),
     }
+
+
+def _highest(job: RectifyJob, window: HeightWindow) -> float:
+    """Highest node of the part of the height model that is published, its own units."""
+    highest = job.heights.range_around(window.col0, window.row0, window.cols, window.rows)[1]
+    return highest if math.isfinite(highest) else 0.0
 
 
 def _photographs(job: RectifyJob) -> list[dict[str, Any]]:
@@ -144,7 +151,7 @@ def _plain(value: Any) -> bool:
     )
 
 
-def _key(product: StereoProduct) -> str:
-    """Says whether tiles that a browser kept, or measurements, are those of this product."""
+def product_key(product: StereoProduct) -> str:
+    """Says whether measurements that a browser kept are those of this product."""
     text = json.dumps({"rasters": sorted(product.files.hashes.items()), "heights": product.height_model_hash})
     return hashlib.sha256(text.encode()).hexdigest()[:16]

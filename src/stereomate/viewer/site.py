@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import hashlib
 import json
 import re
 import threading
@@ -15,6 +16,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from stereomate import __version__
 from stereomate.errors import FormatError, InputError
 from stereomate.forms import PAGE
 from stereomate.raster.pyramid import PyramidReader, open_pyramid
@@ -24,10 +26,12 @@ from stereomate.viewer.imagery import TILE, Stretch, TileFormat, encode_image, r
 from stereomate.viewer.lattice import MeasuringLattice, measuring_lattice
 from stereomate.viewer.objects import object_heights, surface_of
 from stereomate.viewer.points import read_points
-from stereomate.viewer.record import HEIGHT_TILE, HeightWindow, height_window, viewer_record
+from stereomate.viewer.record import HEIGHT_TILE, HeightWindow, height_window, product_key, viewer_record
 
 _EYE: Final = re.compile(r"(ortho|mate)/(\d{1,2})/(\d{1,6})_(\d{1,6})\.(?:jpg|png)")
 _PAIR: Final = re.compile(r"(lineage|heights)/(\d{1,6})_(\d{1,6})\.bin")
+# Of a surface, to tell it from others.
+_HEAD_BYTES: Final = 1 << 20
 _HOMOGENEITY: Final = re.compile(r"homogeneity_(\d+)\.bin")
 
 
@@ -49,6 +53,8 @@ class SiteOptions:
         A table of control and check points to show: name, x, y, z and perhaps type.
     surface : Path, optional
         Heights of objects, as `stereomate heights` writes them; else those beside the product.
+    centre_sigma_m, angle_sigma_deg : float
+        Standard deviations of the orientation with which the page begins, as `MeasureOptions` has them.
     """
 
     format: TileFormat = "jpg"
@@ -58,12 +64,18 @@ class SiteOptions:
     credits: str = ""
     points: Path | None = None
     surface: Path | None = None
+    centre_sigma_m: float = 0.0
+    angle_sigma_deg: float = 0.0
 
     def __post_init__(self) -> None:
         if self.format not in ("jpg", "png"):
             raise InputError("must be jpg or png", field="format", value=self.format)
         if not 1 <= self.quality <= 100:
             raise InputError("must be 1 to 100", field="quality", value=self.quality)
+        for name in ("centre_sigma_m", "angle_sigma_deg"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0.0):
+                raise InputError("must be 0 or more", field=name, value=value)
         for height in self.object_heights_m:
             if not (np.isfinite(height) and height > 0.0):
                 raise InputError("must be positive", field="object_heights", value=height)
@@ -114,11 +126,25 @@ class ProductSource:
                 "eyes": [eye for eye in ("ortho", "mate") if eye in self._paths],
                 "stretch": {"low": self._stretch.low, "high": self._stretch.high},
             },
+            "version": self._version(),
+            "orientation_sigma": {
+                "centre_m": self.options.centre_sigma_m,
+                "angle_deg": self.options.angle_sigma_deg,
+            },
             "objects": self._surface is not None,
             "points": read_points(self.options.points, self.product.job, self.product.folder),
             "title": self.options.title,
             "credits": self.options.credits,
         }
+
+    def _version(self) -> str:
+        """Changes with what files are made from: a browser takes none that it kept of others."""
+        made_from = [__version__, product_key(self.product), repr(self.options)]
+        if self._surface is not None:
+            # places and sizes of all tiles stand at the beginning
+            with self._surface.open("rb") as file:
+                made_from.append(hashlib.sha256(file.read(_HEAD_BYTES)).hexdigest())
+        return hashlib.sha256("\n".join(made_from).encode()).hexdigest()[:16]
 
     def names(self) -> Iterator[str]:
         """All files, in the order in which a page wants them."""

@@ -12,7 +12,7 @@ export class Product {
     Object.assign(this, record);
     this.record = record;
     this.folder = folder;
-    this.version = record.key;
+    this.version = record.version;
     this.lawRecord = record.law;
     this.law = new Law(record.law);
     this.lineageTiles = new Map();
@@ -64,6 +64,24 @@ export class Product {
     const c = Math.floor(col / step), r = Math.floor(row / step);
     if (!(c >= 0 && r >= 0 && c < cols && r < rows)) return null;
     return [values[r * cols + c], values[rows * cols + r * cols + c]];
+  }
+
+  // Heights of objects above the ground, and their standard deviations, on the cells of the layers.
+  loadObjects() {
+    this.objectsPromise ??= fetchFloats(`${this.folder}/objects.bin`, this.version).then((values) => {
+      this.objectValues = values;
+      return values;
+    });
+    return this.objectsPromise;
+  }
+
+  // [height, standard deviation] of what stands at a place; null where nothing was matched or it is not loaded.
+  objectAt(col, row) {
+    if (!this.objectValues) return null;
+    const { cols, rows, step } = this.layers, c = Math.floor(col / step), r = Math.floor(row / step);
+    if (!(c >= 0 && r >= 0 && c < cols && r < rows)) return null;
+    const height = this.objectValues[r * cols + c];
+    return Number.isFinite(height) ? [height, this.objectValues[rows * cols + r * cols + c]] : null;
   }
 
   async loadLineageMap() {
@@ -125,13 +143,22 @@ export class Product {
   }
 
   // Exact point at positions (col, row) on orthophoto and stereomate.
-  async measure(left, right, sigmaPx) {
+  async measure(left, right, accuracy) {
     await this.prepare(left, right);
-    return measurePoint(this, left, right, sigmaPx);
+    let found = measurePoint(this, left, right, accuracy);
+    if (found.lacking.length) {
+      await this.loadHeights(found.lacking);
+      found = measurePoint(this, left, right, accuracy);
+    }
+    return found;
   }
 
-  measureNow(left, right, sigmaPx) {
-    return measurePoint(this, left, right, sigmaPx);
+  measureNow(left, right, accuracy) {
+    return measurePoint(this, left, right, accuracy);
+  }
+
+  loadHeights(windows) {
+    return Promise.all(windows.map((window) => this.surface.tiles.load(window)));
   }
 
   // Height of the ground below a place of the orthophoto, by the exact model where it is loaded; else NaN.

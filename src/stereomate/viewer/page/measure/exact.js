@@ -2,6 +2,7 @@
 // Port of stereomate/stereo/exact.py and measure.py, one point at a time; equal to them to a fraction of a
 // millimetre (tested).
 
+import { chordsOf, isBlocked, windowsOf } from './sight.js';
 import { cross, dot, intersectTwoRays, inverse, minus, plus, times, transpose } from './linear.js';
 
 const ROW_STEPS = 8, CONDITION_STEPS = 5;
@@ -98,7 +99,25 @@ export function intersectGrounds(left, right, centres, sigma) {
     const rows = [...parts[0], ...parts[1]];
     covariance = inverse(times(transpose(rows), rows).map((line) => line.map((v) => v / variance)));
   }
-  return { point: met.point, depths: met.depths, miss: raw.miss, standardized, covariance };
+  return { point: met.point, depths: met.depths, miss: raw.miss, standardized, covariance, parts };
+}
+
+// Covariance of a point by the orientations of its photographs: standard deviations of centres (metres, each
+// axis) and of rotations (radians, about each axis), all independent of one another.
+export function orientationCovariance(met, centres, sigma, orientation) {
+  const total = [[0, 0, 0], [0, 0, 0], [0, 0, 0]];
+  centres.forEach((centre, k) => {
+    // an image of A is that of A - dO - theta x (A - O) under the orientation in use
+    const gain = times(met.covariance, transpose(met.parts[k])).map((line) => line.map((v) => v / sigma ** 2));
+    const moved = times(gain, met.parts[k]).map((line) => line.map((v) => -v));
+    const [x, y, z] = minus(met.point, centre);
+    const turned = times(moved, [[0, -z, y], [z, 0, -x], [-y, x, 0]]);
+    for (const [by, deviation] of [[moved, orientation.centre], [turned, orientation.angle]]) {
+      const part = times(by, transpose(by));
+      for (let i = 0; i < 3; i++) for (let j = 0; j < 3; j++) total[i][j] += part[i][j] * deviation ** 2;
+    }
+  });
+  return total;
 }
 
 // Product position and height of a point of the tangent frame, and the derivatives of (u, v, h) by the point.
@@ -134,8 +153,10 @@ export function pixelOfMap(grid, x, y) {
 }
 
 // What is measured at positions on orthophoto and stereomate; product.photographAt counts photographs from 1.
-export function measurePoint(product, left, right, sigmaPx = 0.3) {
-  const { surface, grid, law, photographs, models } = product;
+// `accuracy` is {px, centre, angle}: of measured coordinates, and of the orientations (metres, radians). Where
+// heights beside the ray are not loaded yet, `lacking` are their windows and nothing is said of hidden ground.
+export function measurePoint(product, left, right, accuracy) {
+  const { surface, grid, law, photographs, models } = product, sigmaPx = accuracy.px;
   const [cols, rows] = grid.size;
   let flags = 0;
   const shown = [[left, 0], [right, 1]].map(([p, side]) => {
@@ -157,7 +178,7 @@ export function measurePoint(product, left, right, sigmaPx = 0.3) {
     groundHeight: groundL.h, groundSlope: [groundL.hu, groundL.hv],
     residualPx: left[0] - right[0] - law.q(groundL.h) / grid.gsd,
     yParallax: (right[1] - left[1]) * grid.gsd * grid.unit_m,
-    point: null, sigma: null, covariance: null, miss: NaN, degrees: null,
+    point: null, sigma: null, covariance: null, orientationSigma: null, miss: NaN, degrees: null, lacking: [],
   };
   if (isRefused(flags)) return result;
   const sigma = sigmaPx * grid.gsd;
@@ -177,7 +198,18 @@ export function measurePoint(product, left, right, sigmaPx = 0.3) {
   result.covariance = covarianceOnMap(grid, at.by, met.covariance);
   result.sigma = result.covariance
     ? [0, 1, 2].map((k) => Math.sqrt(result.covariance[k][k])) : [NaN, NaN, NaN];
+  if (met.covariance) {
+    const share = orientationCovariance(met, centres, sigma, accuracy);
+    result.orientationCovariance = covarianceOnMap(grid, at.by, share);
+    result.orientationSigma = [0, 1, 2].map((k) => Math.sqrt(result.orientationCovariance[k][k]));
+  }
   result.flags |= doubts(product, groundR, result, sigmaPx, shown);
+  [groundL, groundR].forEach((ground, k) => {
+    const chords = chordsOf(surface, ground, centres[k]);
+    const missing = windowsOf(chords).filter((window) => !surface.tiles.has(window));
+    result.lacking.push(...missing);
+    if (!missing.length && chords.some((chord) => isBlocked(surface.tiles, chord))) result.flags |= FLAGS.HIDDEN;
+  });
   return result;
 }
 

@@ -9,6 +9,7 @@ export class HeightTiles {
     this.version = version;
     this.loaded = new Map();
     this.pending = new Map();
+    this.lastNumber = -1;
   }
 
   #range(col0, row0, cols, rows) {
@@ -42,6 +43,18 @@ export class HeightTiles {
       this.pending.set(key, job);
     }
     return this.pending.get(key);
+  }
+
+  // Height of one node of the model; NaN outside, in a void, and where its tile is not loaded.
+  node(col, row) {
+    const c = col - this.col0, r = row - this.row0, t = this.tile;
+    if (!(c >= 0 && r >= 0 && c < this.cols && r < this.rows)) return NaN;
+    const tc = Math.floor(c / t), tr = Math.floor(r / t), number = tr * this.cols + tc;
+    if (number !== this.lastNumber) {
+      this.lastTile = this.loaded.get(`${tc}_${tr}`);
+      this.lastNumber = this.lastTile ? number : -1;
+    }
+    return this.lastTile ? this.lastTile[(r - tr * t) * Math.min(t, this.cols - tc * t) + c - tc * t] : NaN;
   }
 
   // Heights of a window whose tiles are loaded, clamped to the model; NaN = void.

@@ -13,7 +13,8 @@ export class Surface {
     this.lattice = lattice;
     this.tiles = heights;
     this.law = law;
-    this.gradient = record.interpolation === 'cubic' ? cubicGradient : bilinearGradient;
+    this.isCubic = record.interpolation === 'cubic';
+    this.gradient = this.isCubic ? cubicGradient : bilinearGradient;
     this.scale = record.heights.scale;
     this.cell = Math.min(...record.heights.cell_m) / record.grid.unit_m;
   }

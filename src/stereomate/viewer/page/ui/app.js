@@ -6,7 +6,7 @@ import { Renderer } from '../view/renderer.js';
 import { GreyTiles, correlate } from '../measure/correlate.js';
 import { Motion, viewOf, viewRecord } from './view.js';
 import { Mark } from './mark.js';
-import { KINDS, Measurements } from './measurements.js';
+import { KINDS, Measurements, accuracyOf, inRadians } from './measurements.js';
 import { Layers } from './layers.js';
 import { Overlay } from './overlay.js';
 import { Segments } from './segments.js';
@@ -69,7 +69,7 @@ export class App {
     Object.assign(this.view, viewOf(state.view, this.product));
     this.motion.target = null;
     if (!this.view.zoom) this.fit();
-    if (state.sigma > 0 && state.sigma <= 10) this.measurements.sigma = state.sigma;
+    this.measurements.accuracy = accuracyOf(state.accuracy, this.measurements.accuracy);
     this.measurements.take(state.measurements, false);
     for (const id of Array.isArray(state.layers) ? state.layers : []) {
       if (this.layers.available().some(([name]) => name === id)) this.layers.toggle(id, true).catch(() => {});
@@ -80,7 +80,7 @@ export class App {
 
   state() {
     return {
-      view: viewRecord(this.view), measurements: shortVertices(this.measurements.records()), sigma: this.measurements.sigma,
+      view: viewRecord(this.view), measurements: shortVertices(this.measurements.records()), accuracy: this.measurements.accuracy,
       layers: [...this.layers.on],
     };
   }
@@ -94,13 +94,13 @@ export class App {
   }
 
   #measured() {
-    this.panel?.table();
+    this.panel?.table.draw();
     this.touched();
   }
 
   #layersChanged() {
     this.renderer.setLayers(this.layers.images());
-    this.panel.legend();
+    this.panel.layers.legend();
     this.touched();
   }
 
@@ -260,7 +260,7 @@ export class App {
       segments.path(item.vertices, colour, 2 * ratio, item.kind === 'area' && !isOpen);
       for (const vertex of item.vertices) segments.symbol('cross', vertex, colour, 2 * ratio, ratio);
       const last = item.vertices[item.vertices.length - 1];
-      if (last) this.labels.push({ place: last, lines: [item.name, this.panel.shortResult(item)].filter(Boolean) });
+      if (last) this.labels.push({ place: last, lines: [item.name, this.panel.table.shortResult(item)].filter(Boolean) });
       if (isOpen && this.mark.left && last) {
         segments.line(last, { left: this.mark.left, right: this.mark.right }, [1, 1, 1], ratio);
       }
@@ -327,16 +327,19 @@ export class App {
           this.dirty = true;
         }
         if (ticket !== this.readTicket) return;
-        this.reading = product.measureNow(mark.left, mark.right, this.measurements.sigma);
+        this.reading = product.measureNow(mark.left, mark.right, inRadians(this.measurements.accuracy));
+        // heights beside the rays, for ground that they hide: read again when they are there
+        if (this.reading.lacking.length) product.loadHeights(this.reading.lacking).then(() => this.readSoon(), () => {});
       }
       if (product.homogeneity.length) {
         this.reading.homogeneity = product.homogeneityAt(this.layers.index, ...mark.left);
         if (!this.reading.homogeneity) product.loadHomogeneity(this.layers.index).then(() => this.readSoon(), () => {});
       }
+      this.reading.object = this.layers.on.has('objects') ? product.objectAt(...mark.left) : null;
     } catch (error) {
       this.reading = { error: error.message };
     }
-    this.panel.readout(this.reading);
+    this.panel.reading.show(this.reading);
   }
 
   async correlateMark() {

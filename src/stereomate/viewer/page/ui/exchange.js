@@ -11,6 +11,7 @@ function vertexRecord(product, item, index) {
   return {
     easting: round(point?.point?.[0], 4), northing: round(point?.point?.[1], 4), height: round(point?.point?.[2], 4),
     sigma_e: round(point?.sigma?.[0], 4), sigma_n: round(point?.sigma?.[1], 4), sigma_h: round(point?.sigma?.[2], 4),
+    sigma_h_orientation: round(point?.orientationSigma?.[2], 4),
     law_height: round(point?.lawHeight, 4), miss_m: round(point?.miss, 4),
     photographs: (point?.photographs ?? []).map((k) => product.photographs[k]?.name ?? ''),
     flags: point ? reasonsOf(point.flags).join('; ') : '',
@@ -53,7 +54,7 @@ export function toGeoJson(product, items) {
 export const crsText = (product) => (product.crs.epsg ? `EPSG:${product.crs.epsg}` : product.crs.name);
 
 const COLUMNS = ['name', 'kind', 'measurement', 'vertex', 'left_x', 'left_y', 'right_x', 'right_y', 'easting', 'northing',
-  'height', 'sigma_e', 'sigma_n', 'sigma_h', 'law_height', 'miss_m', 'longitude', 'latitude', 'photographs', 'flags'];
+  'height', 'sigma_e', 'sigma_n', 'sigma_h', 'sigma_h_orientation', 'law_height', 'miss_m', 'longitude', 'latitude', 'photographs', 'flags'];
 
 export function toCsv(product, items) {
   const lines = [COLUMNS.join(',')];

@@ -139,7 +139,7 @@ export class Input {
     stage.addEventListener('drop', async (e) => {
       e.preventDefault();
       stage.classList.remove('dropping');
-      for (const file of e.dataTransfer.files) await app.panel.takeFile(file);
+      for (const file of e.dataTransfer.files) await app.panel.table.takeFile(file);
     });
   }
 

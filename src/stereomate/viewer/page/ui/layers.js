@@ -1,7 +1,6 @@
 // Layers over the pictures: coloured ones as images on the ground, and lines.
 
-import { LAYER_TITLES } from './palettes.js';
-import { classColour, divergingColour, heightColour } from './palettes.js';
+import { LAYER_TITLES, classColour, divergingColour, heightColour, objectColour } from './palettes.js';
 
 const CONTOURS = 24;
 
@@ -11,6 +10,7 @@ export class Layers {
     this.changed = changed;
     this.on = new Set();
     this.threshold = 0.05;
+    this.leastHeight = 2 / product.crs.height_unit_m;
     this.features = [];
     this.index = 0;
   }
@@ -18,6 +18,7 @@ export class Layers {
   available() {
     const { product } = this, found = [];
     if (product.homogeneity.length) found.push('homogeneity');
+    if (product.objects) found.push('objects');
     found.push('hillshade', 'tints', 'contours');
     if (product.record.lineage.maps) found.push('lineage', 'seams');
     found.push('photographs');
@@ -35,6 +36,7 @@ export class Layers {
   async #prepare(id) {
     const { product } = this;
     if (id === 'homogeneity') await product.loadHomogeneity(this.index);
+    if (id === 'objects') await product.loadObjects();
     if (id === 'lineage' || id === 'seams') await product.loadLineageMap();
     await product.loadSurface();
     await product.loadRelief();
@@ -46,6 +48,7 @@ export class Layers {
     if (on.has('hillshade') && product.relief) out.push({ image: this.#hillshade(), smooth: true });
     if (on.has('tints') && product.relief) out.push({ image: this.#tints(), smooth: true });
     if (on.has('lineage') && product.lineageMap) out.push({ image: this.#lineage(), smooth: false });
+    if (on.has('objects') && product.objectValues) out.push({ image: this.#objects(), smooth: false });
     const values = product.homogeneityValues?.get(this.index);
     if (on.has('homogeneity') && values) out.push({ image: this.#homogeneity(values), smooth: false });
     return out;
@@ -87,6 +90,30 @@ export class Layers {
   #lineage() {
     const { cols, rows } = this.product.layers, map = this.product.lineageMap;
     return this.#image((k) => (map[k] ? [...classColour(map[k] - 1), 110] : null), cols, rows);
+  }
+
+  // Largest height that colours tell: the 99.5th percentile of what stands out, so that single mismatches do not count.
+  get tallest() {
+    if (this.tallestObject === undefined) {
+      const { cols, rows } = this.product.layers, least = this.leastHeight;
+      const heights = this.product.objectValues.slice(0, cols * rows).filter((h) => h >= least).sort();
+      this.tallestObject = Math.max(heights[Math.floor(0.995 * heights.length)] ?? 0, 2 * least);
+    }
+    return this.tallestObject;
+  }
+
+  #objects() {
+    const { leastHeight, tallest, product: { objectValues: values } } = this;
+    return this.#image((k) => {
+      const h = values[k];
+      return h >= leastHeight ? [...objectColour((h - leastHeight) / (tallest - leastHeight || 1)), 165] : null;
+    });
+  }
+
+  setLeastHeight(value) {
+    this.leastHeight = value;
+    this.tallestObject = undefined;
+    this.changed();
   }
 
   #homogeneity(values) {

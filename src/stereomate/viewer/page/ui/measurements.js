@@ -20,7 +20,9 @@ export class Measurements {
     this.open = null;
     this.past = [];
     this.future = [];
-    this.sigma = 0.3;
+    const { centre_m: centre, angle_deg: angle } = product.orientation_sigma;
+    // standard deviations: of a measured coordinate (pixels), of projection centres (m) and of rotations (degrees)
+    this.accuracy = { px: 0.3, centre, angle };
     this.selected = null;
     this.generation = 0;
   }
@@ -138,8 +140,9 @@ export class Measurements {
     return this.items.map(record);
   }
 
-  setSigma(sigma) {
-    this.sigma = sigma;
+  // Those of the values that can be are taken; measurements follow.
+  setAccuracy(values) {
+    this.accuracy = accuracyOf(values, this.accuracy);
     this.#evaluateAll();
   }
 
@@ -153,7 +156,7 @@ export class Measurements {
     const generation = this.generation, count = item.vertices.length;
     this.changed();
     try {
-      const found = await evaluate(this.product, item, this.sigma);
+      const found = await evaluate(this.product, item, this.accuracy);
       if (generation === this.generation && item.vertices.length === count) item.result = found;
     } catch (error) {
       item.result = { error: error.message };
@@ -164,6 +167,15 @@ export class Measurements {
   get isSettled() {
     return this.items.every((item) => item.result !== null && (item.result.error || item.result.points.length === item.vertices.length));
   }
+}
+
+export const inRadians = ({ px, centre, angle }) => ({ px, centre, angle: angle * Math.PI / 180 });
+
+// Standard deviations from a link or a field: nothing in them is trusted.
+export function accuracyOf(values, before) {
+  const { px, centre, angle } = values ?? {};
+  const within = (value, least, most, old) => (typeof value === 'number' && value >= least && value <= most ? value : old);
+  return { px: within(px, 0.001, 10, before.px), centre: within(centre, 0, 1000, before.centre), angle: within(angle, 0, 10, before.angle) };
 }
 
 const record = ({ id, kind, name, vertices }) => ({ id, kind, name, vertices });
@@ -179,8 +191,8 @@ function checked(one) {
 }
 
 // Everything that follows from the vertices of a measurement.
-export async function evaluate(product, item, sigma) {
-  const points = await Promise.all(item.vertices.map((v) => product.measure(v.left, v.right, sigma)));
+export async function evaluate(product, item, accuracy) {
+  const points = await Promise.all(item.vertices.map((v) => product.measure(v.left, v.right, inRadians(accuracy))));
   const result = { points };
   if (item.kind === 'height' && points.length === 2) Object.assign(result, objectHeight(points));
   if (item.kind === 'line' && points.length > 1) {

@@ -1,7 +1,8 @@
-// Colours that colour-blind people tell apart: Okabe & Ito's for classes, blue-orange for signs, cividis for heights.
+// Colours that colour-blind people tell apart: Okabe & Ito's for classes, blue-orange for signs,
+// cividis and plasma for heights.
 
 export const LAYER_TITLES = {
-  homogeneity: 'Homogeneity: objects read too high or too low', hillshade: 'Hillshade', tints: 'Heights of the ground',
+  homogeneity: 'Homogeneity: objects read too high or too low', objects: 'Heights of objects', hillshade: 'Hillshade', tints: 'Heights of the ground',
   contours: 'Contours', lineage: 'Which photograph is seen', seams: 'Seamlines', photographs: 'Projection centres',
   points: 'Control and check points', grid: 'Map grid',
 };
@@ -15,8 +16,14 @@ export function divergingColour(t) {
   return end.map((v) => Math.round(255 + s * (v - 255)));
 }
 
-const CIVIDIS = [[0, 34, 78], [54, 69, 108], [102, 105, 112], [148, 142, 119], [200, 184, 102], [254, 232, 56]];
-export function heightColour(t) {
-  const x = Math.min(Math.max(t, 0), 1) * (CIVIDIS.length - 1), k = Math.min(Math.floor(x), CIVIDIS.length - 2);
-  return CIVIDIS[k].map((v, n) => Math.round(v + (x - k) * (CIVIDIS[k + 1][n] - v)));
+function along(colours, t) {
+  const x = Math.min(Math.max(t, 0), 1) * (colours.length - 1), k = Math.min(Math.floor(x), colours.length - 2);
+  return colours[k].map((v, n) => Math.round(v + (x - k) * (colours[k + 1][n] - v)));
 }
+
+const CIVIDIS = [[0, 34, 78], [54, 69, 108], [102, 105, 112], [148, 142, 119], [200, 184, 102], [254, 232, 56]];
+export const heightColour = (t) => along(CIVIDIS, t);
+
+// Plasma without its darkest end: what stands on dark ground is seen too.
+const PLASMA = [[84, 2, 163], [139, 10, 165], [185, 50, 137], [219, 92, 104], [244, 136, 73], [254, 188, 43], [240, 249, 33]];
+export const objectColour = (t) => along(PLASMA, t);

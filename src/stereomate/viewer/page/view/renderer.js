@@ -1,7 +1,9 @@
 // Draws both eyes: tiles through the table of each eye, layers on the ground, lines and the mark; then mixes them.
 
 import { MODES } from './modes.js';
-import { EYES, TileCache } from './tilecache.js';
+import { lookupTable, mesh, nearest, program } from './gl.js';
+import { TileCache } from './tilecache.js';
+import { Visible } from './visible.js';
 import * as shaders from './shaders.js';
 
 const GRID = 24;
@@ -18,6 +20,7 @@ export class Renderer {
     if (!gl) throw new Unsupported('WebGL2');
     this.gl = gl;
     this.cache = new TileCache(gl, product, changed);
+    this.visible = new Visible(this.cache);
     this.#build();
     this.relief = null;
     this.layers = [];
@@ -123,7 +126,7 @@ export class Renderer {
     }
     const [width, height] = this.viewSize(view.mode);
     const eyes = this.#eyes(view, phase);
-    this.wanted = [];
+    this.visible.begin();
     if (mode.layout === 'one') {
       this.#target(null, 0, width, height);
       this.#eye(view, eyes[0], width, height);
@@ -140,7 +143,7 @@ export class Renderer {
       });
       this.#mix(mode, targets, height);
     }
-    this.cache.want(this.#ordered(view));
+    this.cache.want(this.visible.wanted(view));
     return more;
   }
 
@@ -233,7 +236,7 @@ export class Renderer {
     const shape = image[1] !== 0 && this.relief ? this.grid : this.quad;
     gl.bindVertexArray(shape.array);
     const sharp = view.zoom >= 4;
-    for (const part of this.#parts(view, eye, width, height, image)) {
+    for (const part of this.visible.parts(view, eye, width, height, this.#moved(image))) {
       gl.bindTexture(gl.TEXTURE_2D, part.tile.texture);
       if (part.tile.nearest !== sharp) {
         gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, sharp ? gl.NEAREST : gl.LINEAR);
@@ -285,68 +288,13 @@ export class Renderer {
     }
   }
 
-  // Level whose pixels are nearest to those of the screen.
-  level(zoom) {
-    return Math.min(Math.max(Math.round(Math.log2(1 / zoom)), 0), this.cache.levels - 1);
-  }
-
-  // Tiles of an eye's view, with the parts of coarser ones where they are not there yet, coarse ones first.
-  #parts(view, eye, width, height, shift) {
-    const parts = [], level = this.level(view.zoom);
-    const { tile, apron } = this.cache, name = EYES[eye];
-    // what the mesh may move tiles by
-    const [low, high] = this.#moved(shift);
-    const left = view.cx - width / (2 * view.zoom) - high, right = view.cx + width / (2 * view.zoom) - low;
-    const top = view.cy - height / (2 * view.zoom), bottom = view.cy + height / (2 * view.zoom);
-    const edge = tile * 2 ** level, [cols, rows] = this.cache.levelSize(level);
-    const c0 = Math.max(Math.floor(left / edge), 0), c1 = Math.min(Math.floor(right / edge), Math.ceil(cols / tile) - 1);
-    const r0 = Math.max(Math.floor(top / edge), 0), r1 = Math.min(Math.floor(bottom / edge), Math.ceil(rows / tile) - 1);
-    for (let row = r0; row <= r1; row++) {
-      for (let col = c0; col <= c1; col++) {
-        this.wanted.push([name, level, col, row]);
-        let found = null, up = 0;
-        for (; level + up < this.cache.levels && !found; up++) {
-          found = this.cache.get(name, level + up, col >> up, row >> up);
-        }
-        if (!found) continue;
-        up--;
-        const scale = 2 ** level, coarse = 2 ** (level + up);
-        const w = Math.min(tile, cols - col * tile), h = Math.min(tile, rows - row * tile);
-        const x = col * edge, y = row * edge;
-        // where the part lies inside the texture, the apron around it
-        const tx = x / coarse - (col >> up) * tile + apron, ty = y / coarse - (row >> up) * tile + apron;
-        parts.push({
-          up,
-          tile: found,
-          rectangle: [x, y, w * scale, h * scale],
-          texture: [tx / found.width, ty / found.height, w / 2 ** up / found.width, h / 2 ** up / found.height],
-        });
-      }
-    }
-    const top_ = this.cache.levels - 1;
-    for (let r = 0; r * tile < this.cache.levelSize(top_)[1]; r++) {
-      for (let c = 0; c * tile < this.cache.levelSize(top_)[0]; c++) this.wanted.push([name, top_, c, r]);
-    }
-    return parts.sort((a, b) => b.up - a.up);
-  }
-
+  // By how many pixels the mesh moves tiles, least and most.
   #moved(shift) {
     if (!this.relief || shift[1] === 0) return [shift[0], shift[0]];
     this.reliefRange ??= this.reliefValues.right.reduce(
       ([a, b], v) => [Math.min(a, v), Math.max(b, v)], [Infinity, -Infinity]);
     const ends = this.reliefRange.map((q) => shift[0] + shift[1] * q);
     return [Math.min(...ends), Math.max(...ends)];
-  }
-
-  // The coarsest level first, then from the middle outwards, both eyes by turns.
-  #ordered(view) {
-    const top = this.cache.levels - 1, tile = this.cache.tile;
-    const distance = ([, level, col, row]) => {
-      if (level === top) return -1;
-      const edge = tile * 2 ** level;
-      return Math.hypot((col + 0.5) * edge - view.cx, (row + 0.5) * edge - view.cy);
-    };
-    return this.wanted.map((place) => [distance(place), place]).sort((a, b) => a[0] - b[0]).map(([, place]) => place);
   }
 
   #mix(mode, targets, height) {
@@ -384,66 +332,4 @@ export class Renderer {
     const sorted = [...this.times].sort((a, b) => a - b);
     return sorted.length ? sorted[sorted.length >> 1] : NaN;
   }
-}
-
-// 256 bytes: brightness and contrast about the middle, then gamma.
-export function lookupTable({ brightness, contrast, gamma }) {
-  const out = new Uint8Array(256);
-  for (let k = 0; k < 256; k++) {
-    const value = (k / 255 - 0.5) * contrast + 0.5 + brightness;
-    out[k] = Math.round(255 * Math.min(Math.max(value, 0), 1) ** (1 / gamma));
-  }
-  return out;
-}
-
-function nearest(gl) {
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
-}
-
-function program(gl, vertex, fragment) {
-  const id = gl.createProgram();
-  for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
-    const shader = gl.createShader(kind);
-    gl.shaderSource(shader, text);
-    gl.compileShader(shader);
-    gl.attachShader(id, shader);
-    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS) && !gl.isContextLost()) {
-      throw new Error(gl.getShaderInfoLog(shader));
-    }
-  }
-  gl.linkProgram(id);
-  const found = { id };
-  const count = gl.getProgramParameter(id, gl.ACTIVE_UNIFORMS) ?? 0;
-  for (let k = 0; k < count; k++) {
-    const { name } = gl.getActiveUniform(id, k);
-    found[name] = gl.getUniformLocation(id, name);
-  }
-  return found;
-}
-
-// A unit square of n x n cells.
-function mesh(gl, n) {
-  const points = new Float32Array(2 * (n + 1) ** 2), indices = new Uint16Array(6 * n * n);
-  for (let r = 0, k = 0; r <= n; r++) for (let c = 0; c <= n; c++) { points[k++] = c / n; points[k++] = r / n; }
-  for (let r = 0, k = 0; r < n; r++) {
-    for (let c = 0; c < n; c++) {
-      const a = r * (n + 1) + c, b = a + n + 1;
-      indices.set([a, a + 1, b, b, a + 1, b + 1], k);
-      k += 6;
-    }
-  }
-  const array = gl.createVertexArray(), buffer = gl.createBuffer();
-  gl.bindVertexArray(array);
-  gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
-  gl.bufferData(gl.ARRAY_BUFFER, points, gl.STATIC_DRAW);
-  gl.enableVertexAttribArray(0);
-  gl.vertexAttribPointer(0, 2, gl.FLOAT, false, 0, 0);
-  const elements = gl.createBuffer();
-  gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, elements);
-  gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, indices, gl.STATIC_DRAW);
-  gl.bindVertexArray(null);
-  return { array, buffer, elements, count: indices.length };
 }
