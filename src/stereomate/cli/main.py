@@ -27,6 +27,7 @@ COMMANDS: Final = (
     "init",
     "check",
     "orient",
+    "surface",
     "run",
     "mosaic",
     "report",

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
+import logging
+import threading
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -9,12 +12,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from stereomate.cli.logs import log_to_file
-from stereomate.cli.output import print_json
+from stereomate.cli.output import console, print_json
 from stereomate.cli.progress import progress_of
 from stereomate.cli.settings import Settings
 
 if TYPE_CHECKING:
-    from stereomate.project.run import RunResult
+    from stereomate.project.run import ProgressSink, RunResult
+
+LOG = logging.getLogger(__name__)
 
 
 def register(app: typer.Typer) -> None:
@@ -42,14 +47,15 @@ def _run(
 ) -> None:
     """Make orthophoto and stereomate of a project. A run that was killed goes on where it stopped.
 
-    Photographs without orientation are oriented first, as by `stereomate orient`.
+    Photographs without orientation are oriented first, as by `stereomate orient`; without a height model one
+    is matched from them, as by `stereomate surface`.
     """
     from stereomate.project import load
     from stereomate.project.run import RunOptions, run, summary_record
 
     started = time.monotonic()
     settings: Settings = context.obj
-    loaded = load(_oriented(project, out, settings, fresh, as_json), strict=strict or None)
+    loaded = load(_with_heights(project, out, settings, fresh, as_json), strict=strict or None)
     options = RunOptions(
         threads=settings.threads,
         scheduler=scheduler,
@@ -60,21 +66,47 @@ def _run(
         strict=strict,
     )
     with log_to_file(out / "run.log"), progress_of(settings, as_json) as progress:
-        result = run(loaded, out, options, progress, lambda made: write_documents(made, started))
+        result = run(
+            loaded, out, options, _with_documents_ahead(progress), lambda made: write_documents(made, started)
+        )
     if as_json:
         print_json(summary_record(result))
     elif settings.verbosity >= 0:
         print_summary(summary_record(result))
 
 
+def _with_heights(project: Path, out: Path, settings: Settings, fresh: bool, as_json: bool) -> Path:
+    """The project file, or that of the oriented photographs with their own height model where it has none."""
+    from stereomate.project.reading import read_project_file
+
+    oriented = _oriented(project, out, settings, fresh, as_json)
+    if read_project_file(project).terrain is not None:
+        return oriented
+    from stereomate.errors import NotDeterminedError
+    from stereomate.project.own_surface import make_own_surface, words
+
+    folder = out / "surface"
+    with log_to_file(folder / "surface.log"), progress_of(settings, as_json) as progress:
+        try:
+            made = make_own_surface(oriented, folder, settings.threads, fresh, progress)
+        except NotDeterminedError as error:
+            if oriented == project:
+                raise
+            LOG.warning("%s: products are made on the surface through the tie points", error)
+            return oriented
+    if settings.verbosity >= 0 and not as_json:
+        console().print(words(made.record), markup=False)
+    return made.project_file
+
+
 def _oriented(project: Path, out: Path, settings: Settings, fresh: bool, as_json: bool) -> Path:
     """The project file, or that of the oriented photographs where it has no orientation yet."""
-    from stereomate.errors import NotDeterminedError
     from stereomate.project.reading import read_project_file
 
     if read_project_file(project).photos.orientation:
         return project
     from stereomate.cli.orient import write_documents as write_orient_documents
+    from stereomate.errors import NotDeterminedError
     from stereomate.project.orient import OrientOptions, orient
 
     folder = out / "orient"
@@ -89,9 +121,24 @@ def _oriented(project: Path, out: Path, settings: Settings, fresh: bool, as_json
     return result.project_file
 
 
+def _with_documents_ahead(progress: ProgressSink) -> ProgressSink:
+    """The same sink. When the first rasters are assembled, the report's libraries begin to load beside it.
+
+    Not earlier: they take memory that the tiles need first. Assembly copies and hashes, and leaves the
+    interpreter to them.
+    """
+    loading = threading.Thread(target=importlib.import_module, args=("stereomate.project.documents",))
+
+    def sink(stage: str, done: int, total: int) -> None:
+        if stage.startswith("assembly") and loading.ident is None:
+            loading.start()
+        progress(stage, done, total)
+
+    return sink
+
+
 def write_documents(result: RunResult, started: float) -> list[Path]:
     """Write what lies beside the rasters of a run."""
-    # The figures' libraries take memory that the tiles need first.
     from stereomate.project import documents
 
     return documents.write_documents(result, started)

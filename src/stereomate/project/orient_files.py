@@ -22,6 +22,7 @@ from stereomate.project.orient_adjust import Adjusted
 from stereomate.project.orient_inputs import OrientInputs
 from stereomate.project.orient_record import OrientedPhotos
 from stereomate.project.orient_surface import SURFACE, write_tie_surface
+from stereomate.project.schema import ProjectFile
 from stereomate.raster.files import write_whole
 
 Array = NDArray[np.float64]
@@ -160,20 +161,9 @@ def oriented_project(inputs: OrientInputs, adjusted: Adjusted, own_surface: bool
 
     Everything that the first project file says of terrain and products is kept; paths are absolute.
     """
-    folder = inputs.path.parent
-    document = inputs.file.model_dump(mode="json", exclude_unset=True)
-    for section, keys in _PATHS.items():
-        for key in keys:
-            value = document.get(section, {}).get(key)
-            if isinstance(value, str):
-                document[section][key] = _absolute(folder, value)
-            elif isinstance(value, list):
-                document[section][key] = [_absolute(folder, v) for v in value]
+    document = absolute_document(inputs.file, inputs.path.parent)
     for section in ("orient", "control", "observations"):
         document.pop(section, None)
-    heights = document["project"]["heights"]
-    if isinstance(heights, str) and (folder / heights).is_file():
-        document["project"]["heights"] = str((folder / heights).resolve())
     document["project"].setdefault("name", inputs.path.stem)
     if inputs.tangent is not None:
         t = inputs.tangent
@@ -192,10 +182,33 @@ def oriented_project(inputs: OrientInputs, adjusted: Adjusted, own_surface: bool
     )
 
 
+def absolute_document(file: ProjectFile, folder: Path) -> dict[str, Any]:
+    """What a project file in a folder states, its paths absolute: to be written into another folder."""
+    document = file.model_dump(mode="json", exclude_unset=True)
+    for section, keys in _PATHS.items():
+        for key in keys:
+            value = (document.get(section) or {}).get(key)
+            if isinstance(value, str) and value:
+                document[section][key] = _absolute(folder, value)
+            elif isinstance(value, list):
+                document[section][key] = [_absolute(folder, v) for v in value]
+    for section in ("project", "photos", "terrain", "control"):
+        heights = (document.get(section) or {}).get("heights")
+        if isinstance(heights, str) and (folder / heights).is_file():
+            document[section]["heights"] = str((folder / heights).resolve())
+    compare = document["photos"].get("compare")
+    if compare is not None:
+        compare["orientation"] = _absolute(folder, compare["orientation"])
+    return document
+
+
 _PATHS: Final = {
-    "photos": ("files",),
+    "photos": ("files", "orientation"),
+    "control": ("file", "measurements"),
+    "observations": ("files", "points"),
+    "orient": ("tie_points",),
     "terrain": ("file", "water"),
-    "products": ("area", "sheets", "breaklines", "seam_file"),
+    "products": ("area", "sheets", "breaklines", "seam_file", "law_table"),
 }
 
 

@@ -248,6 +248,16 @@ class OrientSection(Section):
     power: Annotated[float, Field(gt=0, lt=1)] = 0.80
 
 
+class SurfaceSection(Section):
+    """``[surface]``: the height model that is matched where the project has none."""
+
+    use: Literal["terrain", "surface"] = "terrain"
+    largest_side_px: Annotated[int, Field(ge=100)] = 2200
+    pairs_per_photo: Annotated[int, Field(ge=1, le=20)] = 4
+    cell: Positive | None = None
+    largest_object_m: Positive = 40.0
+
+
 class ProductsSection(Section):
     """``[products]``: types here, ranges in `stereomate.rectify.options.RectifyOptions`."""
 
@@ -297,6 +307,7 @@ class ProjectFile(Section):
     accuracy: AccuracySection | None = None
     observations: ObservationsSection | None = None
     orient: OrientSection = OrientSection()
+    surface: SurfaceSection = SurfaceSection()
     products: ProductsSection = ProductsSection()
 
     @model_validator(mode="after")
