@@ -342,3 +342,36 @@ def test_control_heights_in_feet_are_named(small):
     written(0.3048)
     with pytest.raises(errors.HeightSystemError, match=r"control\.csv.*look like feet"):
         load(small.path)
+
+
+@pytest.mark.parametrize(
+    ("written", "field", "words"),
+    [
+        ("nodata = 300.0", "products.nodata", ("must be a value of uint8", "the photographs are uint8")),
+        ("gsd = 0.001", "products.gsd", ("within 100 times that of the photographs, 0.99",)),
+        ("gsd = 1000.0", "products.gsd", ("within 100 times",)),
+        ("w0_m = 5.0", "products.w0_m", ("highest ground above reference_m", 'law = "linear"')),
+        ("bounds = [0, 0, 10, 10]", "products.bounds", ("ground of the photographs",)),
+    ],
+)
+def test_products_that_cannot_be(small, capsys, written, field, words):
+    """Found before anything is computed, and by `check` too."""
+    small.replace("project.toml", "gsd = 1.0", written)
+    out = small.folder / "out"
+    for arguments in (["run", str(small.path), "-o", str(out)], ["check", str(small.path)]):
+        code, _, err = run(capsys, *arguments)
+        assert code == 2
+        for word in (str(small.path), field, *words):
+            assert word in " ".join(err.split())
+    assert not out.exists() or [path.name for path in out.iterdir()] == ["run.log"]
+
+
+@pytest.mark.parametrize("kind", ["uint32", "float64"])
+def test_photographs_of_a_type_that_no_product_has(small, kind):
+    import tifffile
+
+    for number in (1, 2):
+        tifffile.imwrite(small.folder / f"photo_{number}.tif", np.ones((40, 60, 3), kind), photometric="rgb")
+    fails(small, errors.ProjectError, "products.dtype", f"the photographs are {kind}")
+    small.replace("project.toml", "gsd = 1.0", 'gsd = 1.0\ndtype = "uint16"')
+    assert load(small.path).options.dtype == "uint16"

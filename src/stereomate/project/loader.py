@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -74,6 +75,7 @@ def load(path: str | Path, *, strict: bool | None = None, planned: bool = False)
     written = read_orientations(file.photos, reading)
     notes += written.notes
     candidates, problems = _candidates(file, path, written, cameras, planned, notes)
+    _require_fitting(file.products, candidates, path)
     tangent = tangent_frame_for(written, frame, file.project.tangent_origin)
     centres = map_from_map(frame, written.frame, written.positions)
     model = open_terrain(file, reading, centres, frame, notes)
@@ -140,6 +142,21 @@ def _options(section: ProductsSection, path: Path) -> RectifyOptions:
         return RectifyOptions(**values)
     except ProjectError as error:
         raise named(error, path, error.field or "products") from error
+
+
+def _require_fitting(section: ProductsSection, candidates: Sequence[Candidate], path: Path) -> None:
+    """Options that depend on the type of the pixels, where that is the one of the photographs."""
+    kinds = [candidate.info.dtype.name for candidate in candidates if candidate.info is not None]
+    if section.dtype is None and kinds:
+        written = section.model_dump(exclude=_FILES_OF_PRODUCTS)
+        try:
+            # The law is none of this, and would ask for its table.
+            RectifyOptions(**{**written, "law": "logarithmic", "dtype": kinds[0]})
+        except ProjectError as error:
+            rule = ProjectError(
+                error.rule, field=error.field, value=error.value, hint=f"the photographs are {kinds[0]}"
+            )
+            raise named(rule, path, error.field or "products") from error
 
 
 def project_frame(file: ProjectFile, path: Path) -> MapFrame:

@@ -117,6 +117,8 @@ class RectifyOptions:
     def __post_init__(self) -> None:
         for name, kind in _CHOICES.items():
             _require(getattr(self, name) in get_args(kind), name, f"must be one of {_listed(kind)}", self)
+        known = self.dtype is None or self.dtype in get_args(DataType)
+        _require(known, "dtype", f"must be one of {_listed(DataType)}", self)
         for name in ("gsd", "base_m", "w0_m"):
             value = getattr(self, name)
             _require(value is None or (math.isfinite(value) and value > 0), name, "must be positive", self)

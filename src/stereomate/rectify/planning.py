@@ -38,6 +38,8 @@ REFERENCE_STEP_M = 10.0
 _MONO_PENALTY = 100.0
 # Ground positions per side that are asked which model serves them, to find the law's nominal values.
 _SAMPLES = 80
+# Products coarser or finer than the photographs by more than this are mistakes.
+_MOST_GSD_RATIO = 100.0
 # The ground that a stereomate shows reaches beyond the product by less than this share of its size.
 _BEYOND = 0.1
 
@@ -79,9 +81,11 @@ def plan_products(
     Raises
     ------
     CoverageError
-        If no pair can make a model, or the area asked for has no ground that a pair shares.
+        If no pair can make a model, the area asked for has no ground that a pair shares, or the GSD asked for
+        is far from that of the photographs.
     """
     gsd = options.gsd or default_gsd(coverage, survey)
+    _require_sensible(gsd, coverage.gsd_m / survey.frame.unit_m)
     if not request.stereo:
         used = [i for i, f in enumerate(coverage.footprints) if f is not None]
         models = [StereoModel(i, -1) for i in used]
@@ -103,6 +107,17 @@ def default_gsd(coverage: Coverage, survey: Survey) -> float:
     gsd = coverage.gsd_m / survey.frame.unit_m
     digits = 1 - math.floor(math.log10(gsd))
     return round(gsd, digits)
+
+
+def _require_sensible(gsd: float, of_photographs: float) -> None:
+    """A unit taken for another one is no product: it would fill the disk, or hold no pixel."""
+    if not 1.0 / _MOST_GSD_RATIO <= gsd / of_photographs <= _MOST_GSD_RATIO:
+        raise CoverageError(
+            f"must be within {_MOST_GSD_RATIO:g} times that of the photographs, {of_photographs:.3g}",
+            field="products.gsd",
+            value=gsd,
+            hint="in units of the map",
+        )
 
 
 def _fixed_rotation(options: RectifyOptions) -> float | None:
@@ -158,6 +173,7 @@ def _job(
     law = ParallaxLaw("none", 1.0, 1.0)
     if request.stereo:
         law = _law(options, renumbered, footprints, centres, height_range[0], survey.frame.unit_m)
+        _require_below_flight(law, height_range[1])
         renumbered += tuple(StereoModel(k, -1, penalty=_MONO_PENALTY) for k in range(len(used)))
     in_model = map_from_map(heights.frame, survey.frame, centres)
     return RectifyJob(
@@ -188,11 +204,9 @@ def _grid(
     if request.area is not None:
         area = area.intersection(request.area)
     if area.is_empty:
-        raise CoverageError(
-            "the area asked for is not covered by the photographs",
-            field="products.bounds",
-            value=options.bounds,
-        )
+        asked = "area" if options.bounds is None else "bounds"
+        outline = request.area.bounds if options.bounds is None and request.area else options.bounds
+        raise CoverageError("must lie on ground of the photographs", field=f"products.{asked}", value=outline)
     # Bounds that are asked for are kept whole; an area is only covered.
     outline = shapely.box(*options.bounds) if options.bounds is not None and rotation == 0.0 else area
     return ProductGrid.covering(
@@ -260,6 +274,18 @@ def _law(
             above, options.law_parallaxes_m, base_m=base, w0_m=w0, reference_m=reference
         )
     return ParallaxLaw(options.law, base, w0, reference)
+
+
+def _require_below_flight(law: ParallaxLaw, highest: float) -> None:
+    """A logarithmic or natural law ends at its flying height."""
+    if not np.isfinite(law.q(highest)):
+        above = highest - law.reference_m
+        raise CoverageError(
+            f"must be more than {above:.1f}, the highest ground above reference_m, for the {law.kind} law",
+            field="products.w0_m",
+            value=law.w0_m,
+            hint='another area, w0_m or reference_m, or law = "linear"',
+        )
 
 
 def serving_share(models: Sequence[StereoModel], footprints: Sequence[Footprint], centres: Array) -> Array:
