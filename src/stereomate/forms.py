@@ -99,8 +99,18 @@ def stereo_1_to_2(document: Document) -> Document:
     return {**document, "products": products}
 
 
+def stereo_2_to_3(document: Document) -> Document:
+    """The balance of the second form has no local part."""
+    products = [
+        {**product, "balance": balance and {"coefficients": balance, "local": []}}
+        for product in document["products"]
+        for balance in [product["balance"]]
+    ]
+    return {**document, "products": products}
+
+
 PROJECT: Final = Form("project file", section="project", may_be_absent=True)
-STEREO: Final = Form("stereo.json", (stereo_1_to_2,))
+STEREO: Final = Form("stereo.json", (stereo_1_to_2, stereo_2_to_3))
 LEDGER: Final = Form("tile ledger")
 RUN_REPORT: Final = Form("report.json")
 RUN_PAGE: Final = Form("report.html")

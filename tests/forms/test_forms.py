@@ -120,6 +120,16 @@ def test_products_of_the_first_form_have_no_seams_and_no_balance():
     assert {k: new[k] for k in old if k != "options"} == {k: old[k] for k in old if k != "options"}
 
 
+def test_the_balance_of_the_second_form_has_no_local_part():
+    document = json.loads((FROZEN / "stereo_2.json").read_text())
+    after = forms.stereo_2_to_3(document)
+    (old,), (new,) = document["products"], after["products"]
+    assert new == {**old, "balance": {"coefficients": old["balance"], "local": []}}
+    (product,) = read_products(FROZEN / "stereo_2.json")
+    found = product.job.balance
+    assert (found.coefficients[0][0], found.local) == (tuple(old["balance"][0][0]), ())
+
+
 def test_a_product_of_the_first_form_means_what_it_meant():
     """Read as values and written again: all numbers of the old document, to the last bit."""
     (old,) = json.loads((FROZEN / "stereo_1.json").read_text())["products"]
@@ -138,10 +148,11 @@ def test_a_product_of_the_first_form_means_what_it_meant():
 
 
 def test_the_present_form_is_written_as_it_was_read(monkeypatch):
-    (written,) = json.loads((FROZEN / "stereo_2.json").read_text())["products"]
-    (product,) = read_products(FROZEN / "stereo_2.json")
+    (written,) = json.loads((FROZEN / "stereo_3.json").read_text())["products"]
+    (product,) = read_products(FROZEN / "stereo_3.json")
     assert product.job.seams is not None
     assert product.job.balance is not None
+    assert product.job.balance.local
     # The height model itself is not among the frozen files, so nothing can be hashed.
     monkeypatch.setattr(record, "height_model_record", lambda model, folder: written["height_model"])
     again = json.loads(json.dumps(product_record(product)), parse_constant=lambda nan: None)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from rectify_scenes import BASE, FLYING_HEIGHT, make_job
 
 from stereomate.raster import Window
+from stereomate.rectify.balance_solution import solve_balance
 from stereomate.rectify.engine import rectify_window
 from stereomate.rectify.ground import mate_positions, shown_ground
 from stereomate.rectify.layout import StereoModel
@@ -20,7 +21,6 @@ from stereomate.rectify.radiometry import (
     balance_from_record,
     balance_record,
     design,
-    solve_balance,
 )
 from stereomate.rectify.seams import SeamLine, Seams, seams_from_record, seams_record
 
@@ -165,7 +165,7 @@ def test_gains_gradients_and_vignetting_are_found_again():
     shared = np.array([-0.15, -0.22, 0.03])
     ground = rng.uniform([0, 0], [4.0, 2.6], (6000, 2))
     light = np.log(rng.uniform(40, 150, 6000))
-    seen = []
+    places, numbers, positions, values = [], [], [], []
     for p in range(strips * count):
         strip, k = divmod(p, count)
         turn = 1.0 if strip % 2 == 0 else -1.0
@@ -174,16 +174,18 @@ def test_gains_gradients_and_vignetting_are_found_again():
         terms = design(at)
         logs = light + terms @ np.concatenate([planted[p], shared]) + 0.01 * rng.standard_normal(6000)
         logs[rng.random(6000) < 0.03] += 0.5
-        seen.append((inside, at, np.exp(logs)))
-    pairs, positions, values = [], [], []
-    for a in range(18):
-        for b in range(a + 1, 18):
-            both = seen[a][0] & seen[b][0]
-            pairs.append(np.tile([a, b], (both.sum(), 1)))
-            positions.append(np.stack([seen[a][1][both], seen[b][1][both]], axis=1))
-            values.append(np.stack([seen[a][2][both], seen[b][2][both]], axis=1)[..., None])
-    samples = Samples(np.concatenate(pairs), np.concatenate(positions), np.concatenate(values))
-    balance, summary = solve_balance(samples, 18, [0] * 18)
+        places.append(np.flatnonzero(inside))
+        numbers.append(np.full(inside.sum(), p))
+        positions.append(at[inside])
+        values.append(np.exp(logs[inside])[:, None])
+    place, number, position, value = map(np.concatenate, (places, numbers, positions, values))
+    order = np.lexsort((number, place))
+    samples = Samples(
+        place[order], ground[place[order]], number[order], position[order], value[order],
+        np.full(value.shape, 0.01),
+    )  # fmt: skip
+    size = [(800, 600)] * 18
+    balance, summary = solve_balance(samples, [0] * 18, size)
     found = np.array(balance.coefficients)[:, 0]
     assert summary.before[0] > 0.07
     assert summary.after[0] < 0.012
@@ -193,15 +195,17 @@ def test_gains_gradients_and_vignetting_are_found_again():
     wrong = np.array([design(t) @ (found[p] - np.concatenate([planted[p], shared])) for p in range(18)])
     assert np.sqrt(np.mean(np.square(wrong - wrong.mean()))) < 0.012
     # photographs of another camera have a vignetting of their own
-    two, _ = solve_balance(samples, 18, [0] * 9 + [1] * 9)
+    two, _ = solve_balance(samples, [0] * 9 + [1] * 9, size)
     first, last = (np.array(two.coefficients)[p, 0, 3:] for p in (0, -1))
     assert (first != last).all()
 
 
 def test_without_overlaps_nothing_changes():
-    nothing = Samples(np.empty((0, 2), np.int64), np.empty((0, 2, 2)), np.empty((0, 2, 3)))
-    balance, summary = solve_balance(nothing, 2, [0, 0])
-    assert np.array(balance.coefficients).any() == np.False_
+    none, two = np.empty(0, np.int64), np.empty((0, 2))
+    nothing = Samples(none, two, none, two, np.empty((0, 3)), np.empty((0, 3)))
+    balance, summary = solve_balance(nothing, [0, 0], [(800, 600)] * 2)
+    assert not np.array(balance.coefficients).any()
+    assert not np.array(balance.local).any()
     assert summary.samples == 0
 
 
@@ -213,7 +217,7 @@ def test_records_give_seams_and_balance_back(tmp_path):
     assert [k for k, _ in again.polygons] == [0, 1]
     for (_, a), (_, b) in zip(again.polygons, job.seams.polygons, strict=True):
         assert a.equals_exact(b, 0.0)
-    balance = Balance((((0.1, 1 / 3, -0.2, 0.3, 0.1, -0.4),),))
+    balance = Balance((((0.1, 1 / 3, -0.2, 0.3, 0.1, -0.4),),), ((tuple(0.01 * k for k in range(81)),),))
     assert balance_from_record(json.loads(json.dumps(balance_record(balance)))) == balance
     assert seams_from_record(None) is None
     assert balance_from_record(None) is None

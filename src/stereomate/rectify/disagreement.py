@@ -23,7 +23,7 @@ Bools = NDArray[np.bool_]
 # Path costs per cell: length, digital numbers (of 255) per unit and at most, parallax in cells likewise.
 LENGTH_COST: Final = 0.5
 _COLOUR_STEP_DN: Final = 4.0
-_MOST_COLOUR: Final = 8.0
+_MOST_COLOUR: Final = 24.0
 _PARALLAX_FREE: Final = 0.3
 _PARALLAX_STEP: Final = 0.25
 _MOST_PARALLAX: Final = 16.0

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import shapely
 
+from stereomate.rectify.balance_solution import solve_balance
 from stereomate.rectify.disagreement import grey_scale
 from stereomate.rectify.job import RectifyJob
 from stereomate.rectify.overviews import Overviews, make_overviews
-from stereomate.rectify.radiometry import Balance, BalanceSummary, Samples, solve_balance
+from stereomate.rectify.radiometry import Balance, BalanceSummary, Samples
 from stereomate.rectify.samples import balance_samples
 from stereomate.rectify.seamlines import improved_regions
 from stereomate.rectify.seampolygons import Polygons, mixed_seams, region_polygons
@@ -107,22 +108,21 @@ def _balances(
     """Balance of each job's photographs, solved together over the photographs of all jobs."""
     if not jobs or not jobs[0].options.balance:
         return [None] * len(jobs)
-    names = sorted({p.name for job in jobs for p in job.photographs})
-    number = {name: k for k, name in enumerate(names)}
     camera_of = {p.name: p.camera for job in jobs for p in job.photographs}
+    names = sorted(camera_of)
+    number = {name: k for k, name in enumerate(names)}
     cameras = sorted({camera.name for camera in camera_of.values()})
     parts = []
     for job, overview in zip(jobs, overviews, strict=True):
-        samples = balance_samples(overview)
+        samples = balance_samples(overview, grey_scale(overview))
         table = np.array([number[p.name] for p in job.photographs], np.int64)
         parts.append(replace(samples, photographs=table[samples.photographs]))
     balance, summary = solve_balance(
-        Samples.joined(parts), len(names), [cameras.index(camera_of[name].name) for name in names]
+        Samples.joined(parts),
+        [cameras.index(camera_of[name].name) for name in names],
+        [camera_of[name].size_px for name in names],
     )
-    return [
-        (Balance(tuple(balance.coefficients[number[p.name]] for p in job.photographs)), summary)
-        for job in jobs
-    ]
+    return [(balance.of([number[p.name] for p in job.photographs]), summary) for job in jobs]
 
 
 def _summary(job: RectifyJob, overviews: Overviews, balance: BalanceSummary | None) -> MosaicSummary:

@@ -17,7 +17,7 @@ from stereomate.rectify.ground import Ground, ground_of, heights_of
 from stereomate.rectify.job import RectifyJob
 from stereomate.rectify.kernels.warp import warp
 from stereomate.rectify.layout import StereoModel
-from stereomate.rectify.radiometry import Balance, photo_positions
+from stereomate.rectify.radiometry import Balance
 from stereomate.rectify.readers import reader_of
 from stereomate.rectify.resample import resample
 from stereomate.rectify.serving import camera_nodes, models_of_window
@@ -105,8 +105,8 @@ class Overviews:
                 done.append(None)
                 continue
             size = self.job.photographs[p].camera.size_px
-            at = photo_positions(overview.positions * (np.asarray(size) / _POSITION), size)
-            factor = np.exp(-balance.logarithm(p, at)).astype(np.float32)
+            at = overview.positions * (np.asarray(size) / _POSITION)
+            factor = np.exp(-balance.logarithm(p, at, size)).astype(np.float32)
             done.append(replace(overview, pixels=overview.pixels * factor))
         return replace(self, photographs=tuple(done))
 

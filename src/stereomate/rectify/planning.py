@@ -268,6 +268,9 @@ def _law(
             weight[m.left] += s
             weight[m.right] += s
         w0 = _weighted_median(centres[:, 2] - reference, weight)
+        if w0 <= 0.0:
+            rule = f"must be below the photographs, which are at {w0 + reference:.1f}"
+            raise CoverageError(rule, field="products.reference_m", value=reference)
     if options.law_heights_m is not None and options.law_parallaxes_m is not None:
         above = [height - reference for height in options.law_heights_m]
         return ParallaxLaw.from_table(
