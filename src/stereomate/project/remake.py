@@ -11,8 +11,9 @@ import numpy as np
 from stereomate import __version__
 from stereomate.errors import InputError
 from stereomate.frames.transform import map_from_map, map_from_tangent
+from stereomate.project.making import make_product
 from stereomate.project.output import OutputFolder
-from stereomate.project.run import ProductResult, ProgressSink, RunOptions, make_product
+from stereomate.project.run import ProductResult, ProgressSink, RunOptions
 from stereomate.raster.files import storing
 from stereomate.rectify.job import RectifyJob
 from stereomate.rectify.planning import ground_range

@@ -16,20 +16,19 @@ from typing import Any, Final
 from stereomate import __version__
 from stereomate.coverage.summary import Coverage, survey_coverage
 from stereomate.coverage.survey import Photograph
-from stereomate.errors import ImageError, ProjectError
+from stereomate.errors import CoverageError, ImageError, ProjectError
 from stereomate.project.inputs import file_digest
 from stereomate.project.joins import measured_joins
+from stereomate.project.making import ProductResult, make_product
 from stereomate.project.model import Project
 from stereomate.project.mosaic import planned_mosaics, write_seam_file
+from stereomate.project.orientations import named
 from stereomate.project.output import OutputFolder
-from stereomate.raster.cog import BandStatistics, Georeference, assemble_cog
+from stereomate.project.run_options import ProgressSink, RunOptions
 from stereomate.raster.files import storing
 from stereomate.rectify.job import RectifyJob
-from stereomate.rectify.mosaic import MosaicSummary
 from stereomate.rectify.planning import Request, plan_products
 from stereomate.rectify.readers import close_readers
-from stereomate.rectify.task import LINEAGE, MATE, ORTHO, ChunkTask, lineage_profile, product_profile
-from stereomate.stereo.agreement import Agreement, measure_agreement
 from stereomate.stereo.product import (
     ProductFiles,
     StereoProduct,
@@ -38,75 +37,24 @@ from stereomate.stereo.product import (
 )
 from stereomate.stereo.record import relative_path
 from stereomate.tiles import executor as tiles
-from stereomate.tiles.ledger import Ledger, run_key
-from stereomate.tiles.plan import TilePlan
+from stereomate.tiles.ledger import run_key
+
+__all__ = [
+    "DocumentWriter",
+    "ProductResult",
+    "ProgressSink",
+    "RunOptions",
+    "RunResult",
+    "common_pixels",
+    "plan",
+    "run",
+    "summary_record",
+]
 
 LOG = logging.getLogger(__name__)
 
 # Seams of all products as polygons, to be edited.
 SEAM_FILE: Final = "seams.gpkg"
-
-# stage, done, total
-ProgressSink = Callable[[str, int, int], None]
-
-
-@dataclass(frozen=True)
-class RunOptions:
-    """How to run, besides what the project says.
-
-    Attributes
-    ----------
-    threads : int
-    scheduler : str or None
-        Address of a Dask scheduler; threads of this process without.
-    pairs : tuple of (str, str) or None
-        Models to use instead of those of the project.
-    stereo : bool
-        False: an orthophoto alone.
-    agreement : bool
-        Measure the agreement of left and right by matching.
-    chunk_tiles : int
-        Tiles per side of a chunk.
-    fresh : bool
-        Forget what an earlier run left, and make everything anew.
-    seams : Path or None
-        Seams edited by the user; those of the project without.
-    strict : bool
-        A photograph that turns out unreadable stops the run instead of being left out.
-    """
-
-    threads: int = 1
-    scheduler: str | None = None
-    pairs: tuple[tuple[str, str], ...] | None = None
-    stereo: bool = True
-    agreement: bool = True
-    chunk_tiles: int = 2
-    fresh: bool = False
-    seams: Path | None = None
-    strict: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class ProductResult:
-    """One product as made.
-
-    Attributes
-    ----------
-    product : StereoProduct
-    agreement : Agreement or None
-    statistics : dict of str to tuple of BandStatistics
-        Per raster.
-    chunks_made, chunks_reused : int
-    mosaic : MosaicSummary or None
-        None where one model serves all.
-    """
-
-    product: StereoProduct
-    agreement: Agreement | None
-    statistics: dict[str, tuple[BandStatistics, ...]]
-    chunks_made: int
-    chunks_reused: int
-    mosaic: MosaicSummary | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +84,13 @@ DocumentWriter = Callable[[RunResult], Sequence[Path]]
 
 def plan(project: Project, options: RunOptions) -> tuple[Coverage, list[RectifyJob]]:
     """Coverage of the survey and the jobs of its products; reads no pixel of a photograph."""
+    try:
+        return _plan(project, options)
+    except CoverageError as error:
+        raise error if error.file else named(error, project.path, error.field or "products") from error
+
+
+def _plan(project: Project, options: RunOptions) -> tuple[Coverage, list[RectifyJob]]:
     heights = project.require_heights()
     coverage = survey_coverage(project.survey, heights)
     bands, dtype = common_pixels(project)
@@ -337,78 +292,6 @@ def _definition_key(project: Project, jobs: list[RectifyJob], options: RunOption
         # those of the project are among its inputs
         seams=None if options.seams is None else file_digest(options.seams),
     )
-
-
-def make_product(
-    job: RectifyJob, place: OutputFolder, key: str, options: RunOptions, report: ProgressSink
-) -> ProductResult:
-    """Tiles, assembly and agreement of one product."""
-    out = place.out
-    roles = _roles(job)
-    layout = TilePlan(job.grid.size, job.options.blocksize, options.chunk_tiles)
-    profile = product_profile(job, roles)
-    folder = place.workspace / f"tiles{_suffix(job)}"
-    ledger = Ledger.open(folder, run_key(key=key, product=job.name))
-    task = ChunkTask(job, layout, profile)
-    stage = f"tiles{_suffix(job)}"
-    summary = tiles.run(
-        layout,
-        task,
-        ledger,
-        tiles.executor_of(options.threads, options.scheduler),
-        lambda p: report(stage, p.done, p.total),
-    )
-    files = {ORTHO: f"ortho{_suffix(job)}.tif", LINEAGE: f"lineage{_suffix(job)}.tif"}
-    if job.is_stereo:
-        files[MATE] = f"mate{_suffix(job)}.tif"
-    # From here on rasters of an earlier run are replaced: it is not made any more.
-    place.retire()
-    statistics = {}
-    for k, (name, file) in enumerate(files.items()):
-        report(f"assembly{_suffix(job)}", k, len(files))
-        used = lineage_profile(job) if name == LINEAGE else profile
-        where = Georeference(job.frame.crs, job.grid.affine, _metadata(job, name))
-        statistics[name] = assemble_cog(out / file, used, layout, ledger, name, where)
-    report(f"assembly{_suffix(job)}", len(files), len(files))
-    agreement = None
-    if job.is_stereo and options.agreement:
-        report(f"agreement{_suffix(job)}", 0, 1)
-        agreement = measure_agreement(job)
-        report(f"agreement{_suffix(job)}", 1, 1)
-    hashes = {file: file_digest(out / file) for file in files.values()}
-    product = StereoProduct(
-        job,
-        ProductFiles(files[ORTHO], files[LINEAGE], files.get(MATE), hashes),
-        out,
-        job.heights.content_hash,
-        None if agreement is None else agreement.as_record(),
-    )
-    return ProductResult(product, agreement, statistics, summary.made, summary.reused)
-
-
-def _suffix(job: RectifyJob) -> str:
-    return f"_{job.name}" if job.name else ""
-
-
-def _roles(job: RectifyJob) -> tuple[str, ...]:
-    """Colours of the bands: red, green, blue for the first three of three or more."""
-    count = len(job.bands)
-    if count < 3:
-        return ("gray", *["undefined"] * (count - 1))
-    return ("red", "green", "blue", *["undefined"] * (count - 3))
-
-
-def _metadata(job: RectifyJob, name: str) -> dict[str, str]:
-    """Items of a raster that say what it is to whom finds it alone."""
-    items = {"TIFFTAG_SOFTWARE": f"stereomate {__version__}", "STEREOMATE_PRODUCT": name}
-    if job.is_stereo and name in (ORTHO, MATE):
-        other = {ORTHO: "mate", MATE: "ortho"}[name]
-        items |= {
-            "STEREOMATE_EYE": "left" if name == ORTHO else "right",
-            "ISO19115_ASSOCIATION": f"stereoMate {other}{_suffix(job)}.tif",
-            "STEREOMATE_LAW": job.law.kind,
-        }
-    return items
 
 
 def summary_record(result: RunResult) -> dict[str, Any]:
