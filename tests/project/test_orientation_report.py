@@ -7,6 +7,7 @@ import shutil
 
 import numpy as np
 import pytest
+from playwright.sync_api import sync_playwright
 
 from stereomate.cli import main
 from stereomate.project import load
@@ -15,13 +16,12 @@ from stereomate.project.orientation_sections import ProjectSectionOptions, proje
 from stereomate.relative.overcorrection import overcorrection_factor
 
 BLIND = ProjectSectionOptions(least_contrast=0.0, profiles=4)
-BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
 def test_section_of_the_report(small):
     (pair,) = geometries = project_sections(load(small.path), BLIND)
     section = strength_section(geometries)
-    ((names, _, ends, flat, strength, count, before, verdict),) = section.tables[0].rows
+    ((names, _, ends, flat, strength, count, before, verdict),) = section.pictures[0].table.rows
     assert names == "photo_1 – photo_2"
     assert ends == " / ".join(f"{n:.2f}" for n in pair.end_factors)
     assert flat == f"{pair.sections.flat_factor:.2f}"
@@ -38,7 +38,7 @@ def test_pair_without_a_section(small):
     everywhere_water = ProjectSectionOptions(least_contrast=1000.0, texture_radius_px=2, profiles=4)
     geometries = project_sections(load(small.path), everywhere_water)
     section = strength_section(geometries)
-    ((*_, strength, _, _, verdict),) = section.tables[0].rows
+    ((*_, strength, _, _, verdict),) = section.pictures[0].table.rows
     assert (strength, verdict) == ("–", "no section")
     assert section.fragments == ()
 
@@ -62,10 +62,11 @@ def test_command_writes_the_page(small, tmp_path, capsys):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
 def test_points_of_the_report_are_dragged(small, tmp_path):
     """A mouse drags point 5 along the terrain: the number that is shown is that of the formula."""
-    sync_api = pytest.importorskip("playwright.sync_api")
+    # Chromium is there: make test sets it up
+    path = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    assert path is not None, "Chromium is missing: apt-get install chromium (make test does)"
     rows, cols = np.mgrid[0:40, 0:40]
     small.write_heights(200.0 + 0.3 * cols + 0.2 * rows)
     project = load(small.path)
@@ -76,8 +77,8 @@ def test_points_of_the_report_are_dragged(small, tmp_path):
     index = max(range(len(sections)), key=lambda k: sections[k].ratio)
     profile = geometries[0].profiles[index]
     profile = profile[np.isfinite(profile).all(axis=1)]
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
         page = browser.new_page(viewport={"width": 1200, "height": 1000})
         errors: list[str] = []
         page.on("pageerror", lambda error: errors.append(str(error)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from importlib import resources
 
 import jsonschema
@@ -12,6 +13,8 @@ from run_survey import TINY, make
 
 from stereomate.errors import FormatError
 from stereomate.project import load
+from stereomate.project.accuracy_report import judgements
+from stereomate.project.adjustment_report import adjusted_check_points, adjustment_of
 from stereomate.project.check_points import check_points
 from stereomate.project.run_record import read_run_record
 from stereomate.synthetic.files import write_survey
@@ -54,8 +57,69 @@ def project(tmp_path_factory):
     return path
 
 
+def adjustment(project, moved_m=0.0):
+    """A record of a block adjustment as `stereomate orient` writes it, with the positions of a project."""
+    loaded = load(project)
+    nothing = [None, None, None]
+    return {
+        "format": 1,
+        "kind": "block adjustment",
+        "key": "0123",
+        "frame": {"datum": "control", "crs": "EPSG:2154", "heights": "ellipsoidal"},
+        "summary": {
+            "photographs": 4, "oriented": 3, "tie_points": 800, "image_points": 2000, "observations": 4100,
+            "unknowns": 2418, "redundancy": 1682, "sigma0": 1.02,
+            "global_test": {"statistic": 1.0, "lower": 0.5, "upper": 2.0, "passed": True},
+            "converged": True, "iterations": 5, "image_rms_px": {"columns": 0.3, "rows": 0.4},
+            "gross_errors": 1,
+        },
+        "findings": ["one photograph is turned"],
+        "cameras": [
+            {
+                "name": "camera",
+                "size_px": [100, 80],
+                "parameters": {
+                    "k1": {"value": 1e-5, "standard_deviation": 1e-7, "prior": None, "found": True}
+                },
+            }
+        ],
+        "photographs": [
+            {
+                "name": f"{photograph.name}.tif", "camera": "camera",
+                "position": [centre[0] + moved_m, centre[1], centre[2]],
+                "omega_phi_kappa_deg": [0.0, 0.0, 90.0], "standard_deviation_m": [0.03, 0.03, 0.05],
+                "standard_deviation_deg": [0.01, 0.01, 0.005], "image_points": 600,
+            }
+            for photograph, centre in zip(
+                loaded.survey.photographs, loaded.survey.centres_map.tolist(), strict=True
+            )
+        ],
+        "not_oriented": [{"name": "lost.tif", "reason": "no pair holds it"}],
+        "positions": None,
+        "control": {
+            "control": {"count": 0, "rms_m": nothing, "points": []},
+            "check": {
+                "count": 1,
+                "rms_m": [0.1, 0.2, 0.3],
+                "points": [
+                    {
+                        "name": "C7", "residual_m": [0.1, -0.2, 0.3], "sigma_m": [0.02, 0.02, 0.03],
+                        "standard_deviation_m": [0.04, 0.04, 0.09], "standardized": nothing,
+                        "redundancy": nothing, "rays": 5, "given": [10.0, 20.0, 30.0],
+                    }
+                ],
+            },
+        },
+        "y_parallaxes": [{"left": "a", "right": "b", "points": 90, "rms_px": 0.41}],
+        "gross_errors": [
+            {"kind": "image", "place": "P3 in a.tif", "size": [4.0, 1.0], "standardized": 9.0}
+        ],
+    }  # fmt: skip
+
+
 @pytest.fixture(scope="module")
 def made(project, tmp_path_factory):
+    (project.parent / "adjustment.json").write_text(json.dumps(adjustment(project)))
     return make(project, tmp_path_factory.mktemp("made"), report=True)
 
 
@@ -104,6 +168,49 @@ def test_the_report_states_judges_and_validates(made):
     assert {"report.html", "report.json"} <= set(
         json.loads((made.out / "stereo.json").read_text())["run"]["documents"]
     )
+
+
+def test_the_report_holds_orientation_and_homogeneity(made):
+    record = read_run_record(made.out / "report.json")
+    orientation = record["orientation"]
+    assert orientation["summary"]["redundancy"] == 1682
+    assert orientation["control"]["check"]["points"][0]["name"] == "C7"
+    (product,) = record["homogeneity"]
+    heights = [h["object_height_m"] for h in product["object_heights"]]
+    assert heights == [5.0, 10.0, 20.0]
+    # taller objects are read less well
+    assert all(0.0 < h["seen_by_both"] <= 1.0 and h["error_rms_m"] > 0.0 for h in product["object_heights"])
+    errors = [h["error_rms_m"] for h in product["object_heights"]]
+    assert errors == sorted(errors)
+    page = (made.out / "report.html").read_text()
+    for text in ("<h2>Orientation</h2>", "<h2>Homogeneity</h2>", "one photograph is turned", "lost.tif",
+                 "P3 in a.tif", "redundancy 1682", "C7"):  # fmt: skip
+        assert text in page, text
+    # every figure has its numbers in a table behind it, or beside it
+    figures = re.findall(r"<figure.*?</figure>", page, re.DOTALL)
+    assert len(figures) > 6
+    bare = [re.search(r'alt="([^"]*)"', f)[1] for f in figures if "<details>" not in f]
+    assert bare == []
+
+
+def test_check_points_of_an_adjustment_are_judged(project):
+    checked = adjusted_check_points(adjustment(project))
+    assert checked.independent
+    assert checked.names == ("C7",)
+    np.testing.assert_array_equal(checked.differences_m, [[-0.1, 0.2, -0.3]])
+    np.testing.assert_array_equal(checked.map_xy, [[10.0, 20.0]])
+    (horizontal, *_) = judgements(load(project), checked, None)
+    assert (horizontal.verdict, horizontal.found) == (
+        "not assessed",
+        pytest.approx(np.hypot(0.1, 0.2), rel=0.05),
+    )
+
+
+def test_an_adjustment_of_other_positions_is_passed_over(project, tmp_path):
+    for moved, taken in ((0.0, True), (0.5, False)):
+        (project.parent / "adjustment.json").write_text(json.dumps(adjustment(project, moved)))
+        assert (adjustment_of(load(project)) is not None) == taken
+    (project.parent / "adjustment.json").write_text(json.dumps(adjustment(project)))
 
 
 def test_effects_of_the_map_have_the_size_of_their_formulas(made):

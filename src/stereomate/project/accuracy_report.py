@@ -99,12 +99,14 @@ def accuracy_section(project: Project, checked: CheckPoints | None, judged: tupl
         )
         return Section("Accuracy", (said,), tuple(tables))
     found = checked.accuracy
+    origin = (
+        "Check points of the block adjustment, which took no part in it, against their coordinates. "
+        if checked.independent
+        else "Rays of the points of [control] were intersected with the orientation as given, and compared "
+        "with their coordinates. They are check points only if they took no part in that orientation. "
+    )
     paragraphs = (
-        (
-            "Rays of the points of [control] were intersected with the orientation as given, and compared "
-            "with their coordinates. They are check points only if they took no part in that orientation. "
-            f"Image residuals {checked.image_rms_px:.2f} px (root mean square)."
-        ),
+        f"{origin}Image residuals {checked.image_rms_px:.2f} px (root mean square).",
         f"{found.statement('horizontal')}. {found.statement('vertical')}.",
     )
     tables += [_component_table(checked), _standard_table(checked)]

@@ -47,6 +47,8 @@ class CheckPoints:
         Root mean square residual of the image measurements, per axis.
     left_out : tuple of str
         Points with fewer than two rays, or whose rays do not meet.
+    independent : bool
+        Whether it is known that they took no part in the orientation.
     """
 
     names: tuple[str, ...]
@@ -57,6 +59,7 @@ class CheckPoints:
     rays: NDArray[np.int64]
     image_rms_px: float
     left_out: tuple[str, ...]
+    independent: bool = False
 
     @property
     def accuracy(self) -> PointAccuracy:

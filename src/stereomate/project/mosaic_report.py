@@ -6,6 +6,7 @@ from typing import Final
 
 from stereomate.rectify.job import RectifyJob
 from stereomate.rectify.mosaic import MosaicSummary
+from stereomate.report.page import Table
 
 SEAMS_CAPTION: Final = (
     "Ground of each model (left and right photograph), seams, and where photographs are mixed. The same "
@@ -31,6 +32,22 @@ def mosaic_texts(summary: MosaicSummary, job: RectifyJob) -> list[str]:
             f"{_percent(balance.after)} % after; gains of up to {balance.largest_gain:.2f}."
         )
     return texts
+
+
+def seams_table(job: RectifyJob) -> Table:
+    """Ground that each model serves."""
+    assert job.seams is not None
+    area: dict[int, float] = {}
+    for model, polygon in job.seams.polygons:
+        area[model] = area.get(model, 0.0) + polygon.area * (job.grid.gsd * job.frame.unit_m) ** 2
+    total = sum(area.values()) or 1.0
+    names = [photograph.name for photograph in job.photographs]
+    rows = []
+    for model, size in sorted(area.items(), key=lambda item: -item[1]):
+        pair = job.models[model]
+        label = names[pair.left] if pair.right < 0 else f"{names[pair.left]} – {names[pair.right]}"
+        rows.append((label, f"{1e-4 * size:.2f}", f"{size / total:.1%}"))
+    return Table(("model", "ground, ha", "share"), tuple(rows))
 
 
 def _percent(values: tuple[float, ...]) -> str:

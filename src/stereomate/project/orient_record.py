@@ -244,6 +244,7 @@ def _control(inputs: OrientInputs, adjusted: Adjusted) -> dict[str, Any] | None:
     record: dict[str, Any] = {}
     assert observed.check is not None  # filled in by the network
     residual = observed.xyz - result.points[observed.point]
+    given = _given(inputs, observed.xyz)
     for kind, rows in (
         ("control", np.flatnonzero(~observed.check)),
         ("check", np.flatnonzero(observed.check)),
@@ -256,9 +257,21 @@ def _control(inputs: OrientInputs, adjusted: Adjusted) -> dict[str, Any] | None:
         record[kind] = {
             "count": len(rows),
             "rms_m": rms,
-            "points": [_control_point(result, observed, part, sigma, residual, k) for k in rows.tolist()],
+            "points": [
+                {**_control_point(result, observed, part, sigma, residual, k), "given": given[k]}
+                for k in rows.tolist()
+            ],
         }
     return record
+
+
+def _given(inputs: OrientInputs, xyz: Array) -> list[list[float | None]]:
+    """Given coordinates of points in the map; nothing for one that is not known in all three."""
+    out = np.full(xyz.shape, math.nan)
+    known = np.isfinite(xyz).all(axis=1)
+    if inputs.tangent is not None and known.any():
+        out[known] = map_from_tangent(inputs.tangent, inputs.frame, xyz[known])
+    return [_numbers(row) for row in out]
 
 
 def _control_point(

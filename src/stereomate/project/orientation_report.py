@@ -37,13 +37,13 @@ def strength_section(geometries: Sequence[PairGeometry]) -> Section:
         svg_uri(strength_map(geometries)),
         "Bases by how well the tilt is determined, with the orientation points of every section.",
         "Map of the pairs",
+        _table(geometries),
         wide=True,
     )
     return Section(
         "Relative orientation",
         (EXPLANATION,),
-        (_table(geometries),),
-        (picture,),
+        pictures=(picture,),
         fragments=tuple(_drawing(geometry, number) for number, geometry in enumerate(weakest, 1)),
     )
 

@@ -2,39 +2,33 @@
 
 from __future__ import annotations
 
-import math
 import resource
 import sys
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stereomate import __version__
-from stereomate.project.accuracy_report import Judgement, accuracy_section, judgements
-from stereomate.project.check_points import CheckPoints, check_points
-from stereomate.project.grid_effects import GridEffect, effects_section, grid_effects
-from stereomate.project.mosaic_report import SEAMS_CAPTION, mosaic_texts
+from stereomate.project.accuracy_report import accuracy_section, judgements
+from stereomate.project.adjustment_report import adjusted_check_points, adjustment_of, adjustment_section
+from stereomate.project.check_points import check_points
+from stereomate.project.grid_effects import effects_section, grid_effects
+from stereomate.project.homogeneity_report import homogeneity_of
 from stereomate.project.orientation_report import strength_section
 from stereomate.project.orientation_sections import ProjectSectionOptions, sections_of_coverage
-from stereomate.project.run import ProductResult, RunResult
-from stereomate.project.run_record import run_record, write_run_record
-from stereomate.rectify.job import RectifyJob
-from stereomate.rectify.layout import StereoModel
+from stereomate.project.product_report import product_section
+from stereomate.project.run import RunResult
+from stereomate.project.run_record import Findings, run_record, write_run_record
 from stereomate.report.page import Picture, ReportContent, Section, Table, write_report
 from stereomate.report.run_figures import (
-    law_figure,
     layout_figure,
+    overlap_counts,
     overlap_figure,
-    residual_figure,
     svg_uri,
 )
-from stereomate.report.seams import seams_figure
-from stereomate.report.stereo_pictures import detail_anaglyph, jpeg_uri, product_pictures
-from stereomate.stereo.agreement import Agreement, ParallaxStatistics
-from stereomate.stereo.model_quality import quality_of_agreement
-from stereomate.stereo.product import StereoProduct
+from stereomate.stereo.agreement import ParallaxStatistics
 
 NOT_MODELLED = (
     "Atmospheric refraction is not applied to rays unless the camera or the orientation already contains it.",
@@ -42,8 +36,8 @@ NOT_MODELLED = (
     "Objects that are not in the height model (trees, buildings, bridges) lean in the orthophoto.",
     "Their heights read through the parallax law are wrong on slopes: residual parallaxes vary.",
     "Errors of orientation and height model are not separated here: the measured parallaxes hold both.",
-    "The standard deviations of the orientation are not known to this run, so none are propagated.",
 )
+_UNKNOWN_ORIENTATION = "The standard deviations of the orientation are not known to this run."
 
 
 def write_run_report(folder: Path, result: RunResult, started: float) -> list[Path]:
@@ -69,36 +63,38 @@ def write_run_report(folder: Path, result: RunResult, started: float) -> list[Pa
         "seconds": time.monotonic() - started,
         "peak_memory_mb": _peak_memory_mb(),
     }
-    write_run_record(
-        record, run_record(result, found.checked, found.judged, found.effects, made, NOT_MODELLED)
-    )
+    write_run_record(record, run_record(result, found, made))
     return [page, record]
 
 
-@dataclass(frozen=True)
-class _Findings:
-    """What is computed for the report alone."""
-
-    checked: CheckPoints | None
-    judged: tuple[Judgement, ...]
-    effects: tuple[GridEffect, ...]
-
-
-def _findings(result: RunResult) -> _Findings:
+def _findings(result: RunResult) -> Findings:
+    adjustment = adjustment_of(result.project)
     checked = check_points(result.project)
+    if checked is None and adjustment is not None:
+        checked = adjusted_check_points(adjustment)
     agreement = result.products[0].agreement
     judged = judgements(result.project, checked, None if agreement is None else agreement.ortho_mate)
-    return _Findings(checked, judged, grid_effects(result.project, result.coverage))
+    homogeneity = (homogeneity_of(made.product.job) for made in result.products)
+    return Findings(
+        checked=checked,
+        judged=judged,
+        effects=grid_effects(result.project, result.coverage),
+        adjustment=adjustment,
+        homogeneity=tuple(found for found in homogeneity if found is not None),
+        not_modelled=NOT_MODELLED if adjustment is not None else (*NOT_MODELLED, _UNKNOWN_ORIENTATION),
+    )
 
 
-def run_content(result: RunResult, found: _Findings, seconds: float) -> ReportContent:
+def run_content(result: RunResult, found: Findings, seconds: float) -> ReportContent:
     """Everything the report shows."""
     project = result.project
     sections = [accuracy_section(project, found.checked, found.judged), _layout(result)]
-    sections += [_product(result.out, made) for made in result.products]
+    sections += [adjustment_section(found.adjustment)] if found.adjustment is not None else []
+    sections += [product_section(result.out, made) for made in result.products]
+    sections += [part.section for part in found.homogeneity]
     sections += [_pairs(result), *_relative_orientation(result)]
     sections += [effects_section(found.effects)] if found.effects else []
-    sections += [_given(result), Section("Not modelled", items=NOT_MODELLED)]
+    sections += [_given(result), Section("Not modelled", items=found.not_modelled)]
     memory = _peak_memory_mb()
     return ReportContent(
         title=project.name or project.path.stem,
@@ -146,7 +142,8 @@ def _layout(result: RunResult) -> Section:
     )
     headings = ("photograph", "GSD, m", "height above ground, m", "tilt, °", "covered by height model")
     layout = svg_uri(layout_figure(project.survey, coverage, project.require_heights(), jobs))
-    overlap = svg_uri(overlap_figure(coverage, project.survey, jobs))
+    count, bounds = overlap_counts(coverage, project.survey, jobs)
+    overlap = svg_uri(overlap_figure(count, bounds))
     return Section(
         "Block",
         pictures=(
@@ -157,142 +154,23 @@ def _layout(result: RunResult) -> Section:
                 "Map of the block",
                 Table(headings, rows),
             ),
-            Picture(overlap, "Number of photographs that show each place.", "Map of the overlap"),
-        ),
-    )
-
-
-def _product(out: Path, made: ProductResult) -> Section:
-    job, files = made.product.job, made.product.files
-    middle = float(job.law.q(0.5 * sum(job.height_range))) / job.grid.gsd
-    pictures = product_pictures(out, files.ortho, files.mate, middle)
-    shown = [Picture(jpeg_uri(pictures["ortho"]), f"{files.ortho}: for the left eye.", "Orthophoto")]
-    paragraphs = [_grid_text(job)]
-    tables = []
-    if files.mate is not None:
-        shown.append(Picture(jpeg_uri(pictures["mate"]), f"{files.mate}: for the right eye.", "Stereomate"))
-        shown.append(
             Picture(
-                jpeg_uri(pictures["anaglyph"]),
-                "Anaglyph of the whole product, middle heights at the screen: red glass left, cyan right.",
-                "Anaglyph of the product",
-                wide=True,
-            )
-        )
-        paragraphs.append(_law_text(job))
-        shown.append(
-            Picture(svg_uri(law_figure(job)), "Parallax laws over the heights of the product.", "Laws")
-        )
-    if made.mosaic is not None:
-        paragraphs += mosaic_texts(made.mosaic, job)
-        if job.seams is not None:
-            shown.append(Picture(svg_uri(seams_figure(job, pictures["ortho"])), SEAMS_CAPTION, "Seams"))
-    if made.agreement is not None and files.mate is not None:
-        tables.append(_agreement_table(made.agreement))
-        tables += _model_tables(made.product, made.agreement)
-        shown += _agreement_pictures(out, made, made.agreement)
-    title = "Product" if not job.name else f"Product {job.name}"
-    return Section(title, tuple(paragraphs), tuple(tables), tuple(shown))
-
-
-def _grid_text(job: RectifyJob) -> str:
-    turned = math.degrees(job.grid.rotation)
-    direction = "north-up" if turned == 0.0 else f"rows turned by {-turned:+.3f}° along the base"
-    text = f"Grid {direction}, origin on whole GSDs; {job.options.resampling} resampling, "
-    return text + f"{job.options.heights_interpolation} heights, hidden ground: {job.options.hidden}."
-
-
-def _law_text(job: RectifyJob) -> str:
-    law = job.law
-    y = max((_object_y_parallax(job, m) for m in job.models if m.right >= 0 and m.penalty < 0.7), default=0.0)
-    q_low, q_high = (float(q) / job.grid.gsd for q in law.q(list(job.height_range)))
-    return (
-        f"{law.kind.capitalize()} law with nominal base {law.base_m:.2f} m, w0 {law.w0_m:.2f} m above the "
-        f"reference level {law.reference_m:.2f} m: parallaxes of {q_low:.1f} to {q_high:.1f} pixels. "
-        f"An object {job.options.object_height_m:g} m high shows at most {y:.2f} pixels of y-parallax."
-    )
-
-
-def _object_y_parallax(job: RectifyJob, model: StereoModel) -> float:
-    """y-parallax in pixels that an object of the declared height shows in a model (`rectify.layout`)."""
-    height = job.options.object_height_m
-    depth = model.height_above_ground_m - height
-    if depth <= 0.0:
-        return math.inf
-    return abs(model.base_v_m) * height / depth / job.frame.unit_m / job.grid.gsd
-
-
-def _agreement_table(agreement: Agreement) -> Table:
-    rows = []
-    for name, s in (
-        ("orthophoto left against orthophoto right", agreement.ortho_ortho),
-        ("orthophoto against stereomate, minus q(h)", agreement.ortho_mate),
-    ):
-        if s.count:
-            cells = [_with_error(*v) for v in zip(s.median_px, s.standard_error_px, strict=True)]
-            cells += [f"{v:.3f}" for v in s.nmad_px]
-            cells += [f"{v:.2f}" for v in s.largest_px]
-        else:
-            cells = ["–"] * 6
-        rows.append((name, str(s.count), *cells))
-    headings = ("pixels", "matches", "median x", "median y", "nmad x", "nmad y", "largest x", "largest y")
-    said = (
-        "Measured by image matching on a sample of windows; left minus right. ± is the standard error of the "
-        "median: neighbours share the error of the height model, so whole blocks are drawn anew for it."
-    )
-    return Table(headings, tuple(rows), said)
-
-
-# Models with fewer matches are not judged.
-_FEW_MATCHES = 10
-
-
-def _model_tables(product: StereoProduct, agreement: Agreement) -> list[Table]:
-    """How well the rays of each model meet."""
-    rows = [
-        (
-            f"{m.left} – {m.right}",
-            str(m.count),
-            *(f"{v:+.3f}" for v in (m.miss_median_m, m.y_median_m)),
-            *(f"{v:.3f}" for v in (m.miss_rms_m, m.y_rms_m)),
-        )
-        for m in quality_of_agreement(product, agreement)
-        if m.count >= _FEW_MATCHES
-    ]
-    headings = ("model, metres", "matches", "median miss", "median y", "rms miss", "rms y")
-    said = (
-        "Shortest distance of the rays of matched points after lineage: the quality of the orientation, "
-        "whatever the height model. The y-parallax in the product beside it also holds the error of the "
-        "height model."
-    )
-    return [Table(headings, tuple(rows), said)] if rows else []
-
-
-def _with_error(median: float, error: float) -> str:
-    return f"{median:+.3f}" if math.isnan(error) else f"{median:+.3f} ± {error:.3f}"
-
-
-def _agreement_pictures(out: Path, made: ProductResult, agreement: Agreement) -> list[Picture]:
-    if not len(agreement.residuals):
-        return []
-    job, files = made.product.job, made.product.files
-    assert files.mate is not None
-    figure = svg_uri(residual_figure(agreement))
-    pixels = job.grid.pixel_from_map(agreement.points)
-    middle = int(np.argmin(np.hypot(*(pixels - np.median(pixels, axis=0)).T)))
-    detail = detail_anaglyph(
-        out,
-        files.ortho,
-        files.mate,
-        (float(pixels[middle, 0]), float(pixels[middle, 1])),
-        agreement.parallaxes[middle],
-    )
-    return [
-        Picture(
-            figure, "Measured parallaxes of the matches, the law's share taken off.", "Residual parallaxes"
+                overlap,
+                "Number of photographs that show each place.",
+                "Map of the overlap",
+                _overlap_table(count, bounds, project.frame.unit_m),
+            ),
         ),
-        Picture(jpeg_uri(detail), "Anaglyph of a detail at full resolution.", "Anaglyph of a detail"),
-    ]
+    )
+
+
+def _overlap_table(
+    count: NDArray[np.int64], bounds: tuple[float, float, float, float], unit_m: float
+) -> Table:
+    cell = (bounds[2] - bounds[0]) * (bounds[3] - bounds[1]) * unit_m**2 / count.size
+    found = np.bincount(count.ravel())
+    rows = tuple((str(n), f"{1e-4 * cell * number:.2f}") for n, number in enumerate(found) if n and number)
+    return Table(("photographs", "area, ha"), rows)
 
 
 def _pairs(result: RunResult) -> Section:

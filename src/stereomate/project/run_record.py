@@ -5,28 +5,50 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
 from stereomate import __version__
 from stereomate.errors import FormatError
 from stereomate.forms import RUN_REPORT
-from stereomate.project.accuracy_report import Judgement
-from stereomate.project.check_points import CheckPoints
-from stereomate.project.grid_effects import GridEffect
-from stereomate.project.run import ProductResult, RunResult
 from stereomate.raster.files import write_whole
-from stereomate.stereo.agreement import ParallaxStatistics
+
+# Whoever only reads a record loads none of these.
+if TYPE_CHECKING:
+    from stereomate.project.accuracy_report import Judgement
+    from stereomate.project.check_points import CheckPoints
+    from stereomate.project.grid_effects import GridEffect
+    from stereomate.project.homogeneity_report import Homogeneity
+    from stereomate.project.run import ProductResult, RunResult
+    from stereomate.stereo.agreement import ParallaxStatistics
 
 
-def run_record(
-    result: RunResult,
-    checked: CheckPoints | None,
-    judged: tuple[Judgement, ...],
-    effects: tuple[GridEffect, ...],
-    made: Mapping[str, Any],
-    not_modelled: tuple[str, ...],
-) -> dict[str, Any]:
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """What is found out for the report alone.
+
+    Attributes
+    ----------
+    checked : CheckPoints or None
+    judged : tuple of Judgement
+    effects : tuple of GridEffect
+    adjustment : mapping or None
+        The record of the block adjustment behind the orientation, where one is known.
+    homogeneity : tuple of Homogeneity
+        Of each stereo product.
+    not_modelled : tuple of str
+    """
+
+    checked: CheckPoints | None
+    judged: tuple[Judgement, ...]
+    effects: tuple[GridEffect, ...]
+    adjustment: Mapping[str, Any] | None
+    homogeneity: tuple[Homogeneity, ...]
+    not_modelled: tuple[str, ...]
+
+
+def run_record(result: RunResult, found: Findings, made: Mapping[str, Any]) -> dict[str, Any]:
     """The report as plain values.
 
     Parameters
@@ -70,13 +92,38 @@ def run_record(
             for p in coverage.pairs
         ],
         "accuracy": {
-            "requirements": [j.as_record() for j in judged],
-            "check_points": None if checked is None else checked.as_record(),
+            "requirements": [j.as_record() for j in found.judged],
+            "check_points": None if found.checked is None else found.checked.as_record(),
         },
-        "map_projection": [e.as_record() for e in effects],
+        "orientation": None if found.adjustment is None else _orientation(found.adjustment),
+        "homogeneity": [
+            {"product": part.product, "object_heights": [s.as_record() for s in part.summaries]}
+            for part in found.homogeneity
+        ],
+        "map_projection": [e.as_record() for e in found.effects],
         "products": [_product(product) for product in result.products],
-        "not_modelled": list(not_modelled),
+        "not_modelled": list(found.not_modelled),
     }
+
+
+# What the report of a run takes from adjustment.json.
+_OF_ADJUSTMENT: Final = (
+    "key",
+    "frame",
+    "summary",
+    "findings",
+    "cameras",
+    "photographs",
+    "not_oriented",
+    "positions",
+    "control",
+    "y_parallaxes",
+    "gross_errors",
+)
+
+
+def _orientation(adjustment: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: adjustment[key] for key in _OF_ADJUSTMENT}
 
 
 def write_run_record(path: Path, record: Mapping[str, Any]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -13,6 +13,8 @@ from stereomate.report.run_figures import ACCENT, INK, WARM
 Array = NDArray[np.float64]
 
 _CELLS = 12
+# The longest arrow takes this share of the width of a plan.
+_LONGEST = 0.12
 
 
 def block_figure(names: Sequence[str], centres: Array, residuals: Array, points: Array) -> Figure:
@@ -81,4 +83,73 @@ def residual_figure(pixels: Array, residuals: Array, size_px: tuple[int, int]) -
     axes.set_aspect("equal")
     axes.set_xlabel("column")
     axes.set_ylabel("row")
+    return figure
+
+
+def adjusted_block_figure(
+    centres: Array, residuals: Array, points: Mapping[str, tuple[Array, Array]]
+) -> Figure:
+    """Plan of an adjusted block in the map: residuals of positions, control and check points as arrows.
+
+    Parameters
+    ----------
+    centres : ndarray (n, 3)
+    residuals : ndarray (n, 3)
+        Of observed positions, metres; NaN for none.
+    points : mapping of "control" and "check" to two ndarrays (k, 3)
+        Map positions (NaN where not known) and residuals, metres.
+    """
+    figure = Figure(figsize=(7.2, 6.0), dpi=110)
+    axes = figure.add_subplot()
+    places = [centres[:, :2], *(at[:, :2] for at, _ in points.values())]
+    held = np.vstack(places)
+    held = held[np.isfinite(held).all(axis=1)]
+    low, high = held.min(axis=0), held.max(axis=0)
+    width = float(max((high - low).max(), 1.0))
+    shown = (
+        ("positions", centres, residuals, "o", ACCENT, 4.0),
+        *(
+            (f"{kind} points", *points[kind], marker, WARM if kind == "check" else INK, 6.0)
+            for kind, marker in (("control", "^"), ("check", "s"))
+            if kind in points
+        ),
+    )
+    for label, at, moved, marker, colour, size in shown:
+        known = np.isfinite(at[:, :2]).all(axis=1) & np.isfinite(moved[:, :2]).all(axis=1)
+        plan = np.hypot(*moved[known, :2].T)
+        largest = float(plan.max(initial=0.0))
+        said = f"{label}, longest {largest:.3g} m" if known.any() else label
+        axes.plot(at[:, 0], at[:, 1], marker, color=colour, markersize=size, fillstyle="none", label=said)
+        if largest > 0.0:
+            scale = _LONGEST * width / largest
+            axes.quiver(
+                *at[known, :2].T, *(scale * moved[known, :2].T), color=colour,
+                angles="xy", scale_units="xy", scale=1.0, width=0.004,
+            )  # fmt: skip
+    margin = (_LONGEST + 0.03) * width
+    axes.set_xlim(low[0] - margin, high[0] + margin)
+    axes.set_ylim(low[1] - margin, high[1] + margin)
+    axes.set_aspect("equal")
+    axes.tick_params(labelsize=7)
+    axes.ticklabel_format(style="plain", useOffset=False)
+    axes.set_xlabel("easting", fontsize=8)
+    axes.set_ylabel("northing", fontsize=8)
+    axes.legend(fontsize=7, loc="upper right")
+    return figure
+
+
+def centre_sigma_figure(names: Sequence[str], sigma: Array) -> Figure:
+    """Standard deviations of projection centres (n, 3), metres, over the photographs."""
+    figure = Figure(figsize=(7.2, 3.2), dpi=110)
+    axes = figure.add_subplot()
+    at = np.arange(len(names))
+    for axis, (label, colour) in enumerate((("east", ACCENT), ("north", INK), ("up", WARM))):
+        axes.plot(at, sigma[:, axis], "o-", color=colour, markersize=3, linewidth=0.8, label=label)
+    if len(names) <= 30:
+        axes.set_xticks(at, names, rotation=60, ha="right", fontsize=6)
+    else:
+        axes.set_xlabel("photographs in their order")
+    axes.set_ylim(bottom=0.0)
+    axes.set_ylabel("σ, m")
+    axes.legend(fontsize=7)
     return figure

@@ -28,6 +28,8 @@ ACCENT = "#1f5fa8"
 WARM = "#c1511b"
 STYLE = {"linewidth": 0.9, "color": ACCENT}
 _RELIEF_PX = 420
+# Places of the map of overlap along each side.
+_PLACES = 300
 
 
 def svg_uri(figure: Figure) -> str:
@@ -69,15 +71,23 @@ def _bases(axes: Any, survey: Survey, job: RectifyJob) -> None:
             axes.plot(ends[:, 0], ends[:, 1], **STYLE)
 
 
-def overlap_figure(coverage: Coverage, survey: Survey, jobs: list[RectifyJob]) -> Figure:
-    """How many photographs show each place."""
-    figure = Figure(figsize=(7.2, 5.6), dpi=110)
-    axes = figure.add_subplot()
-    x_min, y_min, x_max, y_max = _bounds(coverage, survey, jobs)
-    x, y = np.meshgrid(np.linspace(x_min, x_max, 300), np.linspace(y_min, y_max, 300))
-    count = np.zeros(x.shape, int)
+def overlap_counts(
+    coverage: Coverage, survey: Survey, jobs: list[RectifyJob]
+) -> tuple[NDArray[np.int64], tuple[float, float, float, float]]:
+    """How many photographs show each place of a grid over the block, and its bounds in the map."""
+    bounds = x_min, y_min, x_max, y_max = _bounds(coverage, survey, jobs)
+    x, y = np.meshgrid(np.linspace(x_min, x_max, _PLACES), np.linspace(y_min, y_max, _PLACES))
+    count = np.zeros(x.shape, np.int64)
     for footprint in coverage.known:
         count += shapely.contains_xy(footprint.polygon, x.ravel(), y.ravel()).reshape(x.shape)
+    return count, bounds
+
+
+def overlap_figure(count: NDArray[np.int64], bounds: tuple[float, float, float, float]) -> Figure:
+    """How many photographs show each place, as `overlap_counts` has it."""
+    figure = Figure(figsize=(7.2, 5.6), dpi=110)
+    axes = figure.add_subplot()
+    x_min, y_min, x_max, y_max = bounds
     shown = np.ma.masked_equal(count, 0)
     image = axes.imshow(
         shown,
@@ -88,7 +98,7 @@ def overlap_figure(coverage: Coverage, survey: Survey, jobs: list[RectifyJob]) -
         vmax=max(2, count.max()),
     )
     figure.colorbar(image, ax=axes, label="photographs", shrink=0.8, ticks=MaxNLocator(integer=True))
-    _map_axes(axes, (x_min, y_min, x_max, y_max))
+    _map_axes(axes, bounds)
     return figure
 
 

@@ -353,6 +353,33 @@ def summarize(job: RectifyJob, object_height_m: float) -> HomogeneitySummary:
     return _summary(job, object_height_m, [found], None)
 
 
+# Height model nodes of a window of an overview, at most.
+_OVERVIEW_NODES: Final = 4_000_000
+
+
+def overview(
+    job: RectifyJob, object_height_m: float, longest: int
+) -> tuple[RectifyJob, Floats32, HomogeneitySummary]:
+    """A map of at most `longest` columns and rows in memory, with the job of its pixels, and its summary.
+
+    Window by window, so that the part of the height model in memory stays small however coarse the pixels.
+    """
+    _check(job, object_height_m)
+    grid = job.grid
+    coarse = coarse_job(job, grid.gsd * max(1.0, max(grid.size) / longest))
+    cell = coarse.grid.gsd * job.frame.unit_m / job.heights.resolution_m
+    side = int(min(max(math.sqrt(_OVERVIEW_NODES) / max(cell, 1e-9), 8.0), longest))
+    cols, rows = coarse.grid.size
+    values, found = np.full((rows, cols, len(BANDS)), np.nan, np.float32), []
+    for row0 in range(0, rows, side):
+        for col0 in range(0, cols, side):
+            window = Window(col0, row0, min(side, cols - col0), min(side, rows - row0))
+            part = homogeneity_window(coarse, window, object_height_m, other_laws(job.law))
+            values[row0 : window.row1, col0 : window.col1] = part.values
+            found.append({"statistics": part.statistics.tolist(), **_counts(part.values)})
+    return coarse, values, _summary(coarse, object_height_m, found, None)
+
+
 def _check(job: RectifyJob, object_height_m: float) -> None:
     if not job.is_stereo:
         raise InputError("must have a stereomate", field="product", value=job.name)

@@ -1,0 +1,302 @@
+"""What a report says of a block adjustment, from its record alone: statistics, residuals, gross errors.
+
+The page of `stereomate orient` and the report of a run that stands on the orientation say the same.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereomate.errors import FormatError
+from stereomate.forms import ORIENTATION
+from stereomate.project.check_points import CheckPoints
+from stereomate.project.model import Project
+from stereomate.report.orient_figures import adjusted_block_figure, centre_sigma_figure
+from stereomate.report.page import Picture, Section, Table
+from stereomate.report.run_figures import svg_uri
+
+Array = NDArray[np.float64]
+
+_ADJUSTMENT = "adjustment.json"
+# The orientation that a run reads is the adjusted one as far as a table writes it.
+_SAME_M = 0.02
+
+
+def adjustment_of(project: Project) -> dict[str, Any] | None:
+    """The record of the adjustment that made the orientation of a project, from beside it; None without one.
+
+    An adjustment of other positions than those the project uses is passed over.
+
+    Raises
+    ------
+    FormatError
+        If the record was written by a newer stereomate.
+    """
+    source = next((item.path for item in project.inputs if item.role == "orientation"), None)
+    path = None if source is None else source.parent / _ADJUSTMENT
+    if path is None or not path.is_file():
+        return None
+    try:
+        document = json.loads(path.read_bytes())
+    except ValueError as error:
+        raise FormatError(f"is not JSON ({error})", file=path) from error
+    record = ORIENTATION.migrated(document, path)
+    adjusted = {Path(photo["name"]).stem: photo["position"] for photo in record["photographs"]}
+    centres = project.survey.centres_map * [1.0, 1.0, 1.0]
+    for photograph, centre in zip(project.survey.photographs, centres, strict=True):
+        position = adjusted.get(Path(photograph.name).stem)
+        if position is None or None in position:
+            return None
+        away = np.hypot(*(np.array(position[:2]) - centre[:2])) * project.frame.unit_m
+        if not away < _SAME_M:
+            return None
+    return record
+
+
+def adjusted_check_points(record: Mapping[str, Any]) -> CheckPoints | None:
+    """The check points of an adjustment, which took no part in it; None where it has none."""
+    points = ((record["control"] or {}).get("check") or {}).get("points", [])
+    if not points:
+        return None
+
+    def values(key: str) -> Array:
+        found = [point.get(key) or [None] * 3 for point in points]
+        return np.array([[math.nan if v is None else v for v in row] for row in found], np.float64)
+
+    rms = record["summary"]["image_rms_px"]
+    known = [v for v in rms.values() if v is not None]
+    return CheckPoints(
+        names=tuple(point["name"] for point in points),
+        map_xy=values("given")[:, :2],
+        # the record has given minus adjusted
+        differences_m=-values("residual_m"),
+        sigma_m=values("sigma_m"),
+        measured_sigma_m=values("standard_deviation_m"),
+        rays=np.array([point["rays"] for point in points]),
+        image_rms_px=float(np.sqrt(np.mean(np.square(known)))) if known else math.nan,
+        left_out=(),
+        independent=True,
+    )
+
+
+def adjustment_section(record: Mapping[str, Any]) -> Section:
+    """The orientation and its statistics as one part of the report of a run."""
+    said = "; ".join(f"{label}: {text}" for label, text in orientation_facts(record))
+    tables = [cameras_table(record)]
+    for part in (
+        *control_sections(record),
+        *left_out_sections(record),
+        gross_section(record),
+        pairs_section(record),
+    ):
+        tables += part.tables
+    gross = gross_section(record)
+    paragraphs = (
+        f"{said}.",
+        *(f"Gross errors: {text}" for text in gross.paragraphs),
+        *pairs_section(record).paragraphs,
+    )
+    return Section(
+        "Orientation",
+        paragraphs,
+        tuple(tables),
+        _pictures(record),
+        tuple(record["findings"]),
+    )
+
+
+def _pictures(record: Mapping[str, Any]) -> tuple[Picture, ...]:
+    photographs = record["photographs"]
+    names = [photo["name"] for photo in photographs]
+    centres = _array(photo["position"] for photo in photographs)
+    sigma = _array(photo["standard_deviation_m"] for photo in photographs)
+    residuals = np.full((len(names), 3), math.nan)
+    place = {Path(name).stem: k for k, name in enumerate(names)}
+    for entry in (record["positions"] or {}).get("residuals", []):
+        if (k := place.get(Path(entry["name"]).stem)) is not None:
+            residuals[k] = _array([entry["residual_m"]])[0]
+    points = {
+        kind: (
+            _array(point.get("given") for point in values["points"]),
+            _array(point["residual_m"] for point in values["points"]),
+        )
+        for kind, values in (record["control"] or {}).items()
+        if values["points"]
+    }
+    plan = adjusted_block_figure(centres, residuals, points)
+    caption = (
+        "Projection centres with the residuals of their observed positions, control points (triangles) and "
+        "check points (squares) with theirs: given minus adjusted."
+    )
+    pictures = [Picture(svg_uri(plan), caption, "Plan of the adjusted block", _residual_table(record))]
+    if np.isfinite(sigma).any():
+        (table,) = photographs_section(record).tables
+        words = "Standard deviations of the projection centres along the tangent axes."
+        figure = svg_uri(centre_sigma_figure(names, sigma))
+        pictures.append(Picture(figure, words, "Standard deviations of the centres", table))
+    return tuple(pictures)
+
+
+def _residual_table(record: Mapping[str, Any]) -> Table:
+    rows = [
+        (f"position of {entry['name']}", *(number_text(v, "{:+.3f}") for v in entry["residual_m"]))
+        for entry in (record["positions"] or {}).get("residuals", [])
+    ]
+    for kind, values in (record["control"] or {}).items():
+        rows += [
+            (f"{kind} point {point['name']}", *(number_text(v, "{:+.3f}") for v in point["residual_m"]))
+            for point in values["points"]
+        ]
+    return Table(("given minus adjusted, m", "east", "north", "up"), tuple(rows))
+
+
+def _array(rows: Any) -> Array:
+    found = [[math.nan if v is None else v for v in row or [None] * 3] for row in rows]
+    return np.array(found, np.float64).reshape(-1, 3)
+
+
+def _image_text(rms: dict[str, float | None]) -> str:
+    columns, rows = (number_text(rms[key], "{:.2f}") for key in ("columns", "rows"))
+    return f"{columns} px in columns, {rows} px in rows"
+
+
+def cameras_table(record: Mapping[str, Any]) -> Table:
+    """Parameters of the cameras, found and held."""
+    rows = [
+        (
+            camera["name"],
+            name,
+            number_text(value["value"], "{:.6g}"),
+            number_text(value["standard_deviation"], "{:.2g}") if value["found"] else "held",
+            number_text(value["prior"], "{:.2g}"),
+        )
+        for camera in record["cameras"]
+        for name, value in camera["parameters"].items()
+        if value["found"] or value["value"] != 0.0
+    ]
+    headings = ("camera", "parameter", "value", "standard deviation", "standard deviation before")
+    return Table(headings, tuple(rows), "Cameras")
+
+
+def orientation_facts(record: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What an adjustment comes to, in a few lines."""
+    summary, frame = record["summary"], record["frame"]
+    rms = summary["image_rms_px"]
+    test = summary["global_test"]
+    facts = [
+        ("Photographs", f"{summary['oriented']} of {summary['photographs']} oriented"),
+        ("Datum", frame["datum"] if "crs" not in frame else f"{frame['datum']}, {frame['crs'][:60]}"),
+        ("Heights", frame.get("heights", "arbitrary")),
+        ("Tie points", f"{summary['tie_points']} in {summary['image_points']} image points"),
+        ("Image residuals, rms", _image_text(rms)),
+        ("σ0", f"{number_text(summary['sigma0'], '{:.3f}')}, redundancy {summary['redundancy']}"),
+    ]
+    if test is not None:
+        facts.append(("Global test", "passed" if test["passed"] else "σ0 differs from 1 significantly"))
+    positions = record["positions"]
+    if positions is not None:
+        values = ", ".join(number_text(v, "{:.2f}") for v in positions["rms_m"])
+        facts.append(("Residuals of positions, rms", f"{values} m (east, north, up)"))
+    return facts
+
+
+def control_sections(record: Mapping[str, Any]) -> list[Section]:
+    """Residuals of control and check points, where there are any."""
+    tables = []
+    for kind, values in (record["control"] or {}).items():
+        if not values["count"]:
+            continue
+        rows = [
+            (
+                point["name"],
+                *(number_text(v, "{:+.3f}") for v in point["residual_m"]),
+                *(number_text(v, "{:.3f}") for v in point["sigma_m"]),
+                str(point["rays"]),
+            )
+            for point in values["points"]
+        ]
+        rows.append(("rms", *(number_text(v, "{:.3f}") for v in values["rms_m"]), "", "", "", ""))
+        headings = ("point", "dx m", "dy m", "dz m", "σx m", "σy m", "σz m", "rays")
+        words = "Given minus adjusted, in the tangent frame."
+        if kind == "check":
+            words += " Check points took no part in the adjustment."
+        tables.append(Table(headings, tuple(rows), f"{kind.capitalize()} points. {words}"))
+    return [Section("Control and check points", tables=tuple(tables))] if tables else []
+
+
+def photographs_section(record: Mapping[str, Any]) -> Section:
+    """Adjusted photographs with their standard deviations."""
+    rows = []
+    for photo in record["photographs"]:
+        position, angles = photo["position"], photo["omega_phi_kappa_deg"]
+        rows.append(
+            (
+                photo["name"],
+                *(f"{v:.3f}" for v in position),
+                *(f"{v:.4f}" for v in angles),
+                *(number_text(v, "{:.3f}") for v in photo["standard_deviation_m"]),
+                *(number_text(v, "{:.4f}") for v in photo["standard_deviation_deg"]),
+                str(photo["image_points"]),
+            )
+        )
+    headings = (
+        "photograph", "x", "y", "z", "ω°", "φ°", "κ°", "σx m", "σy m", "σz m",
+        "σ° x", "σ° y", "σ° z", "points",
+    )  # fmt: skip
+    caption = record["frame"].get("angles", "") + "; standard deviations along and about the tangent axes."
+    return Section("Photographs", tables=(Table(headings, tuple(rows), caption),))
+
+
+def left_out_sections(record: Mapping[str, Any]) -> list[Section]:
+    """Photographs that could not be oriented, and why."""
+    left = record["not_oriented"]
+    if not left:
+        return []
+    rows = tuple((entry["name"], entry["reason"]) for entry in left)
+    return [Section("Not oriented", tables=(Table(("photograph", "reason"), rows),))]
+
+
+def gross_section(record: Mapping[str, Any]) -> Section:
+    """Gross errors that were taken out."""
+    errors = record["gross_errors"]
+    rows = tuple(
+        (
+            error["kind"],
+            error["place"],
+            ", ".join(number_text(v, "{:.2f}") for v in error["size"]),
+            number_text(error["standardized"], "{:.1f}"),
+        )
+        for error in errors[:20]
+    )
+    caption = f"The {len(rows)} largest of {len(errors)}; all are in image_points.parquet." if rows else ""
+    headings = ("kind", "where", "size (px, m or rad)", "standardized")
+    tables = (Table(headings, rows, caption),) if rows else ()
+    return Section("Gross errors taken out", ("None were found.",) if not rows else (), tables)
+
+
+def pairs_section(record: Mapping[str, Any]) -> Section:
+    """y-parallaxes that remain between photographs."""
+    pairs = record["y_parallaxes"]
+    values = [pair["rms_px"] for pair in pairs if pair["rms_px"] is not None]
+    words = "No pair shares tie points."
+    if values:
+        words = (
+            f"y-parallaxes that the orientation leaves, over {len(values)} pairs: median "
+            f"{np.median(values):.2f} px rms, largest {max(values):.2f} px."
+        )
+    worst = sorted(pairs, key=lambda p: -(p["rms_px"] or 0.0))[:15]
+    rows = tuple((p["left"], p["right"], str(p["points"]), number_text(p["rms_px"], "{:.2f}")) for p in worst)
+    table = Table(("left", "right", "points", "rms px"), rows, "The largest; all are in adjustment.json.")
+    return Section("Pairs", (words,), (table,) if rows else ())
+
+
+def number_text(value: float | None, form: str) -> str:
+    """A number in a form, a dash for none."""
+    return "-" if value is None else form.format(value)
