@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -12,8 +13,8 @@ from hypothesis import strategies as st
 from stereomate.errors import InputError, NotDeterminedError
 from stereomate.geometry.rotations import rotation_from_vector
 from stereomate.relative.coplanarity import adjust_coplanarity
-from stereomate.relative.diagnosis import critical_cylinder, model_points
 from stereomate.relative.minimal import five_point
+from stereomate.relative.model import critical_cylinder, model_points
 from stereomate.relative.orientation import RelativeOptions, relative_orientation
 from stereomate.relative.overcorrection import overcorrection_factor
 from stereomate.relative.pair import RelativePose, correspondences_from_photo
@@ -221,27 +222,20 @@ def test_vertical_pair_over_a_plane_is_resolved_by_cheirality():
         assert max(result.pose.angles_to(pose)) < 5.0 * deviation
 
 
-def second_solution_of_plane(pose, normal, distance):
-    """The other (base, rotation) of the homography of a plane n·X = d, from its closed form by search."""
-    from scipy.optimize import least_squares
+def orientations_of_plane(pose, normal, distance):
+    """All orientations whose homography of the plane n·X = d is that of this one, by OpenCV's closed form."""
+    import cv2
 
+    # OpenCV's cameras look along +z with y down.
+    turn = np.diag([1.0, -1.0, -1.0])
     homography = pose.left_from_right.T @ (np.eye(3) - np.outer(pose.base, normal) / distance)
-    best = []
-    rng = np.random.default_rng(0)
-    for _ in range(25):
-        start = rng.normal(size=9)
-
-        def closure(x):
-            rotation = rotation_from_vector(x[:3])
-            made = x[8] * rotation.T @ (np.eye(3) - np.outer(x[3:6], [x[6], x[7], 1.0]))
-            return (made - homography / np.linalg.norm(homography)).ravel()
-
-        found = least_squares(closure, start, xtol=1e-15, ftol=1e-15)
-        if found.cost < 1e-20:
-            # n·X = d > 0 before the camera, where z is negative.
-            base = -found.x[3:6] / np.linalg.norm(found.x[3:6])
-            best.append(RelativePose(base, rotation_from_vector(found.x[:3])))
-    return best
+    _, rotations, translations, _ = cv2.decomposeHomographyMat(turn @ homography @ turn, np.eye(3))
+    found = []
+    for rotation, translation in zip(rotations, translations, strict=True):
+        left_from_right = turn @ rotation.T @ turn
+        base = -turn @ rotation.T @ translation[:, 0]
+        found.append(RelativePose(base / np.linalg.norm(base), left_from_right))
+    return found
 
 
 def test_plane_seen_obliquely_may_have_two_solutions_and_says_so():
@@ -264,7 +258,7 @@ def test_plane_seen_obliquely_may_have_two_solutions_and_says_so():
     assert "plane" in result.reasons[0]
     both = [result.pose, *result.diagnosis.alternatives]
     assert min(max(p.angles_to(pose)) for p in both) < 0.02
-    others = second_solution_of_plane(pose, normal, 3.0)
+    others = orientations_of_plane(pose, normal, 3.0)
     assert min(max(o.angles_to(pose)) for o in others) < 1e-6
     other = [o for o in others if max(o.angles_to(pose)) > 0.05]
     assert min(max(p.angles_to(o)) for p in both for o in other) < 0.02
@@ -289,9 +283,8 @@ def test_critical_cylinder_is_never_a_silent_wrong_orientation(seed):
     assert not abs(overcorrection_factor(section)) < 1e6
     result = relative_orientation(correspondences_from_photo(left, right, C, 0.2))
     assert result.diagnosis is None or result.diagnosis.critical_cylinder.distance < 0.02
-    if result.determined:
-        deviation = math.sqrt(float(np.linalg.eigvalsh(result.adjustment.covariance)[-1]))
-        assert max(result.pose.angles_to(pose)) < 6.0 * deviation
+    assert not result.determined
+    assert re.search("critical|do not determine|agree on no orientation", result.reasons[0])
 
 
 def test_distance_from_the_critical_cylinder():

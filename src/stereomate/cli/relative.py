@@ -1,14 +1,16 @@
-"""`stereomate relative`: orient two photographs to each other from their pixels."""
+"""`stereomate relative`: orient two photographs to each other from their pixels, or from measured points."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stereomate.cli.output import console, plain, print_json, table
+from stereomate.cli.output import plain, print_json
+from stereomate.cli.relative_points import PointsInput, orient_points
+from stereomate.cli.relative_print import print_counts, print_orientation
 
 if TYPE_CHECKING:
     import numpy as np
@@ -17,6 +19,9 @@ if TYPE_CHECKING:
     from stereomate.camera.model import Camera
     from stereomate.relative.automatic import AutomaticOrientation, Prior
     from stereomate.relative.pair import RelativePose
+
+
+_POINTS = "Measured points"
 
 
 @dataclass(frozen=True)
@@ -36,8 +41,10 @@ def register(app: typer.Typer) -> None:
 
 
 def _relative(
-    left: Annotated[str, typer.Argument(help="Left photograph: a file, or a name in the project.")],
-    right: Annotated[str, typer.Argument(help="Right photograph.")],
+    left: Annotated[
+        str | None, typer.Argument(help="Left photograph: a file, or a name in the project.")
+    ] = None,
+    right: Annotated[str | None, typer.Argument(help="Right photograph.")] = None,
     camera: Annotated[
         Path | None,
         typer.Option("--camera", help="TOML file with one [[camera]], or one each for left and right."),
@@ -55,13 +62,57 @@ def _relative(
         int, typer.Option("--largest-side", help="Features are looked for in images reduced to this side.")
     ] = 2200,
     seed: Annotated[int, typer.Option("--seed", help="Of the random sampling.")] = 0,
+    points: Annotated[
+        Path | None,
+        typer.Option(
+            "--points",
+            help="Measured points instead of photographs: point,x_left,y_left,x_right,y_right in mm from the "
+            "principal point, or point,col_left,row_left,col_right,row_right in pixels; perhaps weight.",
+            rich_help_panel=_POINTS,
+        ),
+    ] = None,
+    principal_distance: Annotated[
+        str | None,
+        typer.Option(
+            "--principal-distance", help="Of points in mm: C, or LEFT,RIGHT.", rich_help_panel=_POINTS
+        ),
+    ] = None,
+    sigma: Annotated[
+        float | None,
+        typer.Option(
+            "--sigma",
+            help="Standard deviation of a measured coordinate of weight one [default: 0.005 mm, 0.5 px].",
+            rich_help_panel=_POINTS,
+        ),
+    ] = None,
+    equal_weights: Annotated[
+        bool,
+        typer.Option(
+            "--equal-weights",
+            help="All conditions weigh the same, as textbook programs have it.",
+            rich_help_panel=_POINTS,
+        ),
+    ] = False,
 ) -> None:
-    """Relative orientation of two photographs, automatically, with its accuracy.
+    """Relative orientation of two photographs, automatically or from measured points, with its accuracy.
 
-    Exit code 2 and the reason where the photographs do not determine it.
+    Exit code 2 and the reason where the photographs or points do not determine it.
     """
     from stereomate.errors import InputError
 
+    if points is not None:
+        if left is not None or project is not None:
+            raise InputError(
+                "must stand without photographs and project", field="--points", value=str(points)
+            )
+        given = PointsInput(points, camera, principal_distance, sigma, equal_weights, seed)
+        orient_points(given, output, figures, json)
+        return
+    if left is None or right is None:
+        raise InputError("must be two photographs, or --points", field="LEFT RIGHT", value=left)
+    for option, value in (("--principal-distance", principal_distance), ("--sigma", sigma)):
+        if value is not None:
+            raise InputError("belongs to --points", field=option, value=value)
     if (camera is None) == (project is None):
         raise InputError("must be given, one of the two", field="--camera or --project")
     pair = _of_project(project, left, right) if project is not None else pair_of_files(camera, left, right)
@@ -87,15 +138,23 @@ def _relative(
 def pair_of_files(camera: Path | None, left: str, right: str) -> PairInput:
     """Two photographs by their files, with the cameras of a file."""
     from stereomate.errors import InputError
-    from stereomate.project.cameras import load_cameras
 
     assert camera is not None
-    cameras = load_cameras(camera)
+    files = Path(left), Path(right)
+    if files[0].exists() and files[1].exists() and files[0].samefile(files[1]):
+        raise InputError("must be another photograph than the left one", field="RIGHT", value=right)
+    return PairInput(files, (files[0].name, files[1].name), cameras_of_pair(camera))
+
+
+def cameras_of_pair(file: Path) -> tuple[Camera, Camera]:
+    """Cameras of the left and right photograph: one for both, or two."""
+    from stereomate.errors import InputError
+    from stereomate.project.cameras import load_cameras
+
+    cameras = load_cameras(file)
     if len(cameras) > 2:
-        raise InputError("must have one camera, or two", file=camera, field="camera", value=len(cameras))
-    return PairInput(
-        (Path(left), Path(right)), (Path(left).name, Path(right).name), (cameras[0], cameras[-1])
-    )
+        raise InputError("must have one camera, or two", file=file, field="camera", value=len(cameras))
+    return cameras[0], cameras[-1]
 
 
 def _of_project(path: Path, left: str, right: str) -> PairInput:
@@ -117,6 +176,8 @@ def _of_project(path: Path, left: str, right: str) -> PairInput:
         if name not in photographs:
             raise ProjectError("must be a photograph of the project", file=path, field="photo", value=name)
     (k, one), (_, other) = photographs[left], photographs[right]
+    if one.name == other.name:
+        raise ProjectError("must be two photographs", file=path, field="photo", value=one.name)
     if one.path is None or other.path is None:
         raise ProjectError("must have files", file=path, field="photos", value=(left, right))
     pose = RelativePose.from_exterior(
@@ -168,85 +229,40 @@ def grey_photograph(file: Path) -> NDArray[np.uint8]:
 def _write_figures(
     folder: Path, result: AutomaticOrientation, pair: PairInput, images: list[NDArray[np.uint8]]
 ) -> None:
-    from stereomate.errors import StorageError
     from stereomate.measurement.features import reduced_image
     from stereomate.report.overcorrection_style import save_figure
     from stereomate.report.relative import match_picture, parallax_picture, six_point_picture
 
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StorageError(f"{folder}: cannot make the folder ({error.strerror})") from error
+    figure_folder(folder)
     factor = max(1, max(images[0].shape) // 1200)
     left, right = (reduced_image(image, factor) for image in images)
     save_figure(match_picture(left, right, result, pair.names, factor), folder / "matches.png")
     save_figure(parallax_picture(left, result, pair.names[0], factor), folder / "y-parallaxes.png")
     if result.determined:
-        save_figure(six_point_picture(result, pair.names), folder / "six-points.png")
+        assert result.orientation is not None
+        save_figure(six_point_picture(result.orientation, ", ".join(pair.names)), folder / "six-points.png")
+
+
+def figure_folder(folder: Path) -> None:
+    """Make the folder of figures, if it is not there."""
+    from stereomate.raster.files import storing
+
+    with storing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
 
 
 def _write_record(path: Path, result: AutomaticOrientation, pair: PairInput) -> None:
     import json
-    import os
 
-    from stereomate.errors import StorageError
+    from stereomate.raster.files import write_whole
     from stereomate.relative.summary import pair_record
 
-    text = json.dumps(plain(pair_record(result, pair.names)), ensure_ascii=False) + "\n"
-    unfinished = path.with_name(f".{path.name}.part")
-    try:
-        unfinished.write_text(text, encoding="utf-8")
-        os.replace(unfinished, path)
-    except OSError as error:
-        raise StorageError(f"{path}: cannot write the record ({error.strerror})") from error
+    write_whole(
+        path, [json.dumps(plain(pair_record(result, pair.names)), ensure_ascii=False).encode() + b"\n"]
+    )
 
 
 def _print(result: AutomaticOrientation, pair: PairInput) -> None:
-    import math
-
-    from stereomate.relative.summary import available_elements, element_rows
-
-    out = console()
-    steps = [(name, str(count)) for name, count in result.counts.items()]
-    out.print(table(" and ".join(pair.names), ("step", "number"), steps))
-    for note in result.notes:
-        out.print(note, highlight=False)
-    orientation = result.orientation
-    if orientation is None or not result.determined:
-        return
-    for kind, elements in available_elements(orientation).items():
-        rows = [
-            (*row, f"{elements.correlations[i][j]:+.2f} with {elements.names[j]}")
-            for i, (row, j) in enumerate(
-                zip(element_rows(elements), _most_correlated(elements.correlations), strict=True)
-            )
-        ]
-        heads = ("element", "value", "standard deviation", "largest correlation")
-        out.print(table(f"{kind} pair", heads, rows))
-    out.print(
-        f"Sampson distances {result.rms_px:.3f} px rms, sigma0 {orientation.sigma0:.2f}, "
-        f"redundancy {orientation.adjustment.redundancy}",
-        highlight=False,
-    )
-    diagnosis = orientation.diagnosis
-    if diagnosis is not None:
-        out.print(
-            f"geometry: worst direction {diagnosis.largest_standard_deviation_deg:.4f}°; off the critical "
-            f"cylinder by {100.0 * diagnosis.critical_cylinder.distance:.1f} % of the depth, "
-            f"off a plane by {100.0 * diagnosis.flatness:.1f} %",
-            highlight=False,
-        )
-    if pair.given is not None:
-        turn, tilt = orientation.pose.angles_to(pair.given)
-        out.print(
-            f"against the orientation of the project: rotation {math.degrees(turn):.4f}°, "
-            f"base {math.degrees(tilt):.4f}°",
-            highlight=False,
-        )
-
-
-def _most_correlated(correlations: Any) -> list[int]:
-    import numpy as np
-
-    others = np.abs(correlations - np.diag(np.diag(correlations)))
-    return [int(j) for j in np.argmax(others, axis=1)]
+    print_counts(" and ".join(pair.names), result.counts, result.notes)
+    if result.orientation is not None and result.determined:
+        print_orientation(result.orientation, pair.given)

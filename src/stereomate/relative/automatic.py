@@ -25,6 +25,7 @@ from stereomate.relative.feature_pairs import AutomaticOptions, FeaturePair, Pri
 from stereomate.relative.guiding import distances_along_left, local_affine, plane_normal
 from stereomate.relative.orientation import RelativeOptions, RelativeOrientation, relative_orientation
 from stereomate.relative.pair import correspondences_from_pixels
+from stereomate.relative.remarks import remarks
 from stereomate.relative.robust import RobustOptions
 
 __all__ = [
@@ -79,10 +80,7 @@ class AutomaticOrientation:
     @property
     def rms_px(self) -> float:
         """Root mean square Sampson distance of the points used, pixels; NaN without an orientation."""
-        if self.orientation is None:
-            return math.nan
-        statistics = self.orientation.points()
-        return float(np.sqrt(np.mean(statistics.sampson[statistics.used] ** 2)))
+        return math.nan if self.orientation is None else self.orientation.sampson_rms
 
 
 def orient_photographs(
@@ -206,6 +204,7 @@ class _Pair:
             result = self._weighted(left_px, right_px, covariance, unmodelled, 1.0)
         counts["orientation points"] = int(np.count_nonzero(result.used))
         reasons = result.reasons or self._doubts(found, result, left_px)
+        notes += remarks(result)
         return AutomaticOrientation(result, reasons, left_px, right_px, counts, tuple(notes))
 
     def _weighted(

@@ -18,9 +18,17 @@ from stereomate.errors import InputError
 from stereomate.relative.coplanarity import CoplanarityAdjustment
 from stereomate.relative.kernels.alternatives import other_minimum
 from stereomate.relative.kernels.degenerate import correlation_of_rays, rotation_only, square_sum
+from stereomate.relative.kernels.pose import share_behind, tangents
+from stereomate.relative.kernels.robust import MOST_BEHIND
+from stereomate.relative.model import CriticalCylinder, critical_cylinder, flatness, model_points
 from stereomate.relative.pair import Correspondences, RelativePose
 
 Array = NDArray[np.float64]
+
+# Inflation times the angle (rad) to the next critical arrangement.
+_INFLATION_ANGLE = 25.0
+# Of fewer points than this not one may lie behind a camera: it is not outvoted by the others.
+_FEW = 12
 
 
 @dataclass(frozen=True)
@@ -31,6 +39,10 @@ class DiagnosisOptions:
     ----------
     largest_standard_deviation_deg : float
         Of the base direction and the rotation, in any direction.
+    critical_sigmas : float
+        Points are critical if a critical arrangement of them is nearer than so many standard deviations of
+        the worst direction: there the normal equations promise what the points do not hold (see
+        `GeometryDiagnosis.critical_sigmas`).
     ambiguity : float
         Another orientation is as good if its square sum is larger by less than this (in variances).
     points : int
@@ -42,6 +54,7 @@ class DiagnosisOptions:
     """
 
     largest_standard_deviation_deg: float = 2.0
+    critical_sigmas: float = 25.0
     ambiguity: float = 25.0
     points: int = 200
     samples: int = 15
@@ -52,29 +65,6 @@ class DiagnosisOptions:
             raise InputError("must be positive", field="largest_standard_deviation_deg")
         if self.points < 5 or self.samples < 1:
             raise InputError("points must be at least 5 and samples at least 1", field="points, samples")
-
-
-@dataclass(frozen=True)
-class CriticalCylinder:
-    """Circle through both centres' axis that fits the points best, seen along the base.
-
-    In the cross-section perpendicular to the base, y is across and z depth (positive away from the cameras).
-    On the circle y² + z² is linear in y and z, the y-parallax of a tilt is that of other elements, and the
-    tilt is not determined (Kasper's critical circle; in space the critical cylinder).
-
-    Parameters
-    ----------
-    centre : (float, float)
-        y and z of its axis, in units of the base.
-    radius : float
-        In units of the base.
-    distance : float
-        Root mean square distance of the points from it over their mean depth; 0 is critical.
-    """
-
-    centre: tuple[float, float]
-    radius: float
-    distance: float
 
 
 @dataclass(frozen=True)
@@ -122,13 +112,24 @@ class GeometryDiagnosis:
 
     @property
     def cofactor_omega(self) -> float:
-        """Variance of omega of the dependent pair (rad²) for a closure of one sigma."""
+        """Variance (rad²) of omega, more exactly of the tilt round the base, for closures of one sigma."""
         return self._omega[0]
 
     @property
     def inflation_omega(self) -> float:
-        """Factor on the standard deviation of omega because the other elements are unknown too."""
+        """Factor on the standard deviation of that tilt because the other elements are unknown too."""
         return self._omega[1]
+
+    @property
+    def critical_sigmas(self) -> float:
+        """How far off the next critical arrangement is, in standard deviations of the worst direction.
+
+        Near one, elements are worse known together than each by itself by a factor that is the reciprocal of
+        the angle to it, times about 25 in simulated pairs. Points on a critical cylinder come out 2 to 8
+        sigmas from it, whatever their noise and number, with errors of up to 7 stated standard deviations:
+        there the square sum is no parabola. Ordinary terrain is hundreds of sigmas away.
+        """
+        return _critical_sigmas(self.largest_standard_deviation_deg, _inflation(self.adjustment))
 
     @cached_property
     def critical_cylinder(self) -> CriticalCylinder:
@@ -138,7 +139,7 @@ class GeometryDiagnosis:
     @cached_property
     def flatness(self) -> float:
         """Root mean square distance of the points from a plane over their mean depth."""
-        return _flatness(self._model, float(np.mean(np.abs(self._model[:, 2]))) or 1.0)
+        return flatness(self._model)
 
     @cached_property
     def planar(self) -> bool:
@@ -171,7 +172,12 @@ def diagnose(
     elif not worst <= options.largest_standard_deviation_deg:
         reasons.append(
             "the points do not determine the elements: "
-            + ("singular normal equations" if adjustment.singular else f"standard deviation {worst:.1f}°")
+            + ("singular normal equations" if adjustment.singular else _standard_deviation(worst))
+        )
+    elif _critical_sigmas(worst, _inflation(adjustment)) < options.critical_sigmas:
+        reasons.append(
+            "the points lie on a critical surface (as a cylinder through both centres) within their noise: "
+            f"the elements are {_inflation(adjustment):.0f} times worse known together than each by itself"
         )
     ratio, no_parallax = _pure_rotation(chosen, variances, options)
     if no_parallax:
@@ -182,51 +188,35 @@ def diagnose(
         planar = _on_a_plane(chosen, variances, options.significance)
         kind = "the points lie on one plane" if planar else "critical arrangement of the points"
         reasons.append(f"{kind}: another orientation fits them as well")
+    behind = _behind(chosen, pose, sum(variances))
+    if not reasons and behind > (0 if len(chosen) < _FEW else MOST_BEHIND * len(chosen)):
+        reasons.append(f"{behind} of {len(chosen)} points lie behind a camera")
     return GeometryDiagnosis(
         tuple(reasons), worst, ratio, alternatives, adjustment, chosen, variances, options.significance
     )
 
 
-def model_points(pose: RelativePose, correspondences: Correspondences) -> Array:
-    """Points of the model where the rays come closest, seen along the base; shape (n, 3), in bases.
-
-    x along the base, y across it to the left, z depth away from the cameras in the mean viewing direction:
-    the axes of a cross-section.
-    """
-    left = np.column_stack([correspondences.left, -np.ones(len(correspondences))])
-    right = np.column_stack([correspondences.right, -np.ones(len(correspondences))])
-    right = right @ pose.left_from_right.T
-    a, c = np.einsum("ij,ij->i", left, left), np.einsum("ij,ij->i", right, right)
-    d = np.einsum("ij,ij->i", left, right)
-    lb, rb = left @ pose.base, right @ pose.base
-    sine2 = np.maximum(a * c - d * d, 1e-12)
-    near_left, near_right = (c * lb - d * rb) / sine2, (d * lb - a * rb) / sine2
-    middle = 0.5 * (left * near_left[:, None] + pose.base + right * near_right[:, None])
-    view = -(np.array([0.0, 0.0, 1.0]) + pose.left_from_right[:, 2])
-    view = view - (view @ pose.base) * pose.base
-    length = float(np.linalg.norm(view))
-    if length < 1e-9:
-        # Cameras looking along the base: any direction across serves as depth.
-        view = np.cross(pose.base, np.array([0.0, 1.0, 0.0]))
-        length = float(np.linalg.norm(view))
-    down = view / length
-    axes = np.stack([pose.base, np.cross(pose.base, down), down])
-    points: Array = middle @ axes.T
-    return points
+def why_no_orientation(c: Correspondences) -> str:
+    """What is wrong with points to which no orientation can be found at all."""
+    variances = _variances(c, 1.0)
+    if _on_a_line(c, variances):
+        return "the points lie on one line in a photograph"
+    if _pure_rotation(c, variances, DiagnosisOptions())[1]:
+        return "no parallax: the photographs differ by a rotation only, the base is unknown"
+    return "no orientation has the points before both cameras"
 
 
-def critical_cylinder(model: Array) -> CriticalCylinder:
-    """Circle through the base's axis fitted to model points (n, 3) of `model_points`."""
-    y, z = model[:, 1], model[:, 2]
-    depth = float(np.mean(np.abs(z))) or 1.0
-    design = np.column_stack([y, z]) / depth
-    solution = np.linalg.lstsq(design, (y * y + z * z) / depth, rcond=None)[0]
-    centre = solution / 2.0
-    radius = float(np.hypot(*centre))
-    distance = np.hypot(y - centre[0], z - centre[1]) - radius
-    return CriticalCylinder(
-        (float(centre[0]), float(centre[1])), radius, float(np.sqrt(np.mean(distance**2))) / depth
+def _standard_deviation(worst: float) -> str:
+    return f"standard deviation {worst:.1f}°" if worst < 90.0 else "standard deviation beyond 90°"
+
+
+def _behind(c: Correspondences, pose: RelativePose, variance: float) -> int:
+    """Points behind a camera by more than their noise."""
+    everything = np.ones(len(c), dtype=np.bool_)
+    share = share_behind(
+        c.left, c.right, everything, np.array(pose.base), np.array(pose.left_from_right), variance
     )
+    return round(share * len(c))
 
 
 def _variances(c: Correspondences, noise: float) -> tuple[float, float]:
@@ -260,13 +250,6 @@ def _pure_rotation(
     total = rotation_only(c.left, c.right, rotation, 2) / (variances[0] + variances[1])
     freedom = 2 * len(c) - 3
     return math.sqrt(total / freedom), total < float(chdtri(freedom, options.significance))
-
-
-def _flatness(model: Array, depth: float) -> float:
-    """Root mean square distance of the points from their plane over the mean depth."""
-    centred = model - model.mean(axis=0)
-    scatter = np.linalg.svd(centred, compute_uv=False) / math.sqrt(len(model))
-    return float(scatter[-1]) / depth
 
 
 def _on_a_plane(c: Correspondences, variances: tuple[float, float], significance: float) -> bool:
@@ -319,12 +302,32 @@ def _alternatives(
     return (RelativePose(base, rotation),) if total - from_here < options.ambiguity else ()
 
 
+def _critical_sigmas(worst_deg: float, inflation: float) -> float:
+    return _INFLATION_ANGLE / (inflation * math.radians(worst_deg)) if worst_deg > 0.0 else math.inf
+
+
+def _inflation(adjustment: CoplanarityAdjustment) -> float:
+    """Largest factor on a standard deviation because the other elements are unknown too."""
+    normal = np.linalg.inv(_round_the_base(adjustment))
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    smallest = float(np.linalg.eigvalsh(normal * np.outer(scale, scale))[0])
+    return 1.0 / math.sqrt(smallest) if smallest > 0.0 else math.inf
+
+
 def _strength_of_omega(adjustment: CoplanarityAdjustment) -> tuple[float, float]:
-    """Cofactor of omega, and the root of its variance inflation by the other elements."""
-    if adjustment.singular or abs(adjustment.pose.base[0]) < 1e-6:
+    """Cofactor of the tilt round the base, and the root of its variance inflation by the other elements."""
+    if adjustment.singular:
         return math.inf, math.inf
-    cofactor = adjustment.dependent().covariance / (
-        adjustment.sigma0**2 if adjustment.redundancy > 0 and adjustment.sigma0 > 0.0 else 1.0
-    )
+    cofactor = _round_the_base(adjustment)
     normal = np.linalg.inv(cofactor)
     return float(cofactor[2, 2]), math.sqrt(max(float(cofactor[2, 2] * normal[2, 2]), 1.0))
+
+
+def _round_the_base(adjustment: CoplanarityAdjustment) -> Array:
+    """Cofactor with the rotation in axes along and across the base, shape (5, 5)."""
+    across = np.empty((2, 3))
+    tangents(np.array(adjustment.pose.base), across)
+    turned = np.eye(5)
+    turned[2:, 2:] = np.vstack([adjustment.pose.base, across])
+    cofactor: Array = turned @ adjustment.cofactor @ turned.T
+    return cofactor

@@ -10,7 +10,7 @@ from stereomate.relative.kernels.coplanarity import adjust
 from stereomate.relative.kernels.five_point import MAX_SOLUTIONS
 from stereomate.relative.kernels.five_point import five_point as five_point_kernel
 from stereomate.relative.kernels.pose import choose_arrangement, pose_from_essential
-from stereomate.relative.pair import RelativePose
+from stereomate.relative.pair import Correspondences, RelativePose
 
 
 def five_point(left: ArrayLike, right: ArrayLike, in_front: int = 5) -> tuple[RelativePose, ...]:
@@ -57,6 +57,17 @@ def five_point(left: ArrayLike, right: ArrayLike, in_front: int = 5) -> tuple[Re
             _polish(rays, base, rotation)
             poses.append(RelativePose(base, rotation))
     return tuple(poses)
+
+
+def most_in_front(pose: RelativePose, correspondences: Correspondences) -> RelativePose:
+    """Of the four arrangements of one essential matrix the one with most points before both cameras."""
+    base, rotation = np.empty(3), np.empty((3, 3))
+    first, second = np.empty((3, 3)), np.empty((3, 3))
+    if not pose_from_essential(pose.essential.ravel(), base, first, second):
+        return pose
+    left, right = correspondences.left, correspondences.right
+    choose_arrangement(left, right, np.ones(len(left), dtype=np.bool_), base, first, second, rotation)
+    return RelativePose(base, rotation)
 
 
 def _polish(

@@ -20,9 +20,14 @@ from stereomate.relative.coplanarity import (
     PointStatistics,
     adjust_coplanarity,
 )
-from stereomate.relative.diagnosis import DiagnosisOptions, GeometryDiagnosis, diagnose
+from stereomate.relative.diagnosis import (
+    DiagnosisOptions,
+    GeometryDiagnosis,
+    diagnose,
+    why_no_orientation,
+)
 from stereomate.relative.elements import Elements
-from stereomate.relative.minimal import five_point
+from stereomate.relative.minimal import five_point, most_in_front
 from stereomate.relative.pair import Correspondences, RelativePose
 from stereomate.relative.robust import RobustOptions, robust_orientation
 from stereomate.relative.snooping import Rejection, SnoopingOptions, snoop
@@ -93,6 +98,12 @@ class RelativeOrientation:
         """Standard deviation of unit weight; NaN without redundancy."""
         return self.adjustment.sigma0
 
+    @property
+    def sampson_rms(self) -> float:
+        """Root mean square Sampson distance of the points used, in the unit of the correspondences."""
+        statistics = self.points()
+        return float(np.sqrt(np.mean(statistics.sampson[statistics.used] ** 2)))
+
     def require_determined(self) -> RelativeOrientation:
         """This orientation.
 
@@ -147,7 +158,7 @@ def relative_orientation(
         return _from_all(correspondences, options)
     found = robust_orientation(correspondences, options.search)
     if found.pose is None:
-        raise NotDeterminedError("relative orientation: no orientation has the points before both cameras")
+        raise NotDeterminedError(f"relative orientation: {why_no_orientation(correspondences)}")
     use = found.inliers
     if np.count_nonzero(use) < 6 or found.log10_false_alarms > -1.0:
         # As many points as chance puts near the epipolar lines of some orientation.
@@ -179,7 +190,7 @@ def _from_five(correspondences: Correspondences, options: RelativeOptions) -> Re
     """Exactly five points: unique only if cheirality leaves one solution."""
     solutions = five_point(correspondences.left, correspondences.right)
     if not solutions:
-        raise NotDeterminedError("relative orientation: no orientation has the points before both cameras")
+        raise NotDeterminedError(f"relative orientation: {why_no_orientation(correspondences)}")
     adjustment = adjust_coplanarity(correspondences, solutions[0], options.adjustment)
     result = _finish(adjustment, options, 1)
     if len(solutions) == 1:
@@ -204,5 +215,9 @@ def _from_all(correspondences: Correspondences, options: RelativeOptions) -> Rel
             if best is None or adjustment.sigma0 < best.sigma0 * (1.0 - 1e-9):
                 best = adjustment
     if best is None:
-        raise NotDeterminedError("relative orientation: no orientation has the points before both cameras")
+        raise NotDeterminedError(f"relative orientation: {why_no_orientation(correspondences)}")
+    # Four of the points of a start were before the cameras: all of them decide for the same square sum.
+    arranged = most_in_front(best.pose, correspondences)
+    if max(arranged.angles_to(best.pose)) > 1e-6:
+        best = adjust_coplanarity(correspondences, arranged, options.adjustment)
     return _finish(best, options, tried)

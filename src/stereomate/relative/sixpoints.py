@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.relative.coplanarity import PointStatistics
-from stereomate.relative.diagnosis import model_points
+from stereomate.relative.model import model_points
 from stereomate.relative.pair import Correspondences, RelativePose
 
 Array = NDArray[np.float64]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -48,27 +49,68 @@ def pair_record(result: AutomaticOrientation, names: tuple[str, str], points: bo
     if orientation is None:
         return record
     record["sampson_rms_px"] = result.rms_px
-    record["sigma0"] = orientation.sigma0
-    record["redundancy"] = orientation.adjustment.redundancy
+    record.update(orientation_record(orientation, result.determined))
+    if points:
+        places = {
+            "left_px": np.round(result.left_px, 4).tolist(),
+            "right_px": np.round(result.right_px, 4).tolist(),
+        }
+        record["points"] = {**places, **_points(orientation)}
+    return record
+
+
+def table_record(
+    names: Sequence[str],
+    orientation: RelativeOrientation | None,
+    reasons: Sequence[str],
+    notes: Sequence[str],
+    points: bool = True,
+) -> dict[str, Any]:
+    """As `pair_record`, of measured points: their `names` are among the points, lengths are in their unit."""
+    record: dict[str, Any] = {
+        "format": PAIR.version,
+        "kind": "relative orientation of measured points",
+        "determined": not reasons,
+        "reasons": list(reasons),
+        "notes": list(notes),
+        "counts": {"points": len(names)},
+    }
+    if orientation is None:
+        return record
+    unit = orientation.adjustment.correspondences.unit
+    record["counts"]["points used"] = int(np.count_nonzero(orientation.used))
+    record["unit"] = unit
+    record[f"sampson_rms_{unit}"] = orientation.sampson_rms
+    record.update(orientation_record(orientation, not reasons))
+    if points:
+        record["points"] = {"names": list(names), **_points(orientation)}
+    return record
+
+
+def orientation_record(orientation: RelativeOrientation, determined: bool) -> dict[str, Any]:
+    """Sigma0, redundancy, geometry and, where it is determined, the elements and the six-point picture."""
+    record: dict[str, Any] = {
+        "sigma0": orientation.sigma0,
+        "redundancy": orientation.adjustment.redundancy,
+    }
     if orientation.diagnosis is not None:
         record["geometry"] = _geometry(orientation.diagnosis)
-    if result.determined:
-        record["base"] = orientation.pose.base.tolist()
-        record["left_from_right"] = orientation.pose.left_from_right.tolist()
-        for kind, elements in available_elements(orientation).items():
-            record[kind] = _elements(elements)
-        statistics = orientation.points()
-        record["six_points"] = [
-            {
-                "number": p.number,
-                "points": p.points,
-                "y_parallax_px": p.y_parallax,
-                "standard_deviation_px": p.standard_deviation,
-            }
-            for p in six_points(orientation.pose, orientation.adjustment.correspondences, statistics)
-        ]
-    if points:
-        record["points"] = _points(result, orientation)
+    if not determined:
+        return record
+    c = orientation.adjustment.correspondences
+    record["base"] = orientation.pose.base.tolist()
+    record["left_from_right"] = orientation.pose.left_from_right.tolist()
+    for kind, elements in available_elements(orientation).items():
+        record[kind] = _elements(elements)
+    record["six_points"] = [
+        {
+            "number": p.number,
+            "points": p.points,
+            f"y_parallax_{c.unit}": p.y_parallax,
+            f"standard_deviation_{c.unit}": p.standard_deviation,
+        }
+        for p in six_points(orientation.pose, c, orientation.points())
+    ]
     return record
 
 
@@ -136,19 +178,18 @@ def _geometry(diagnosis: GeometryDiagnosis) -> dict[str, Any]:
     }
 
 
-def _points(result: AutomaticOrientation, orientation: RelativeOrientation) -> dict[str, Any]:
+def _points(orientation: RelativeOrientation) -> dict[str, Any]:
     statistics = orientation.points()
+    unit = orientation.adjustment.correspondences.unit
 
     def column(values: NDArray[np.float64]) -> list[float | None]:
         return [round(float(v), 6) if math.isfinite(v) else None for v in values]
 
     return {
-        "left_px": np.round(result.left_px, 4).tolist(),
-        "right_px": np.round(result.right_px, 4).tolist(),
         "used": statistics.used.tolist(),
-        "y_parallax_px": column(statistics.y_parallax),
-        "sampson_px": column(statistics.sampson),
+        f"y_parallax_{unit}": column(statistics.y_parallax),
+        f"sampson_{unit}": column(statistics.sampson),
         "redundancy": column(statistics.redundancy),
         "standardized": column(statistics.standardized),
-        "minimal_detectable_px": column(statistics.minimal_detectable),
+        f"minimal_detectable_{unit}": column(statistics.minimal_detectable),
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from stereomate.errors import InputError
 from stereomate.relative.automatic import AutomaticOrientation
-from stereomate.relative.diagnosis import model_points
+from stereomate.relative.model import model_points
 from stereomate.relative.orientation import RelativeOrientation
 from stereomate.relative.sixpoints import OrientationPoint, six_points
 from stereomate.report.overcorrection_style import CIRCLE, INK, PERPENDICULAR, RAY, figure_style
@@ -21,6 +22,7 @@ Array = NDArray[np.float64]
 
 _LEFT_OUT: Final = CIRCLE
 _WIDTH_IN: Final = 6.7
+_MOST_NAMES: Final = 60
 
 
 def match_picture(
@@ -120,9 +122,79 @@ def parallax_picture(
     return figure
 
 
-def six_point_picture(result: AutomaticOrientation, names: tuple[str, str]) -> Figure:
+def point_picture(
+    orientation: RelativeOrientation, names: Sequence[str], title: str, determined: bool = True
+) -> Figure:
+    """Measured points where they lie in the left photograph, with their y-parallaxes as arrows.
+
+    Parameters
+    ----------
+    orientation : RelativeOrientation
+    names : sequence of str
+        Of the points; written beside them where they are not too many.
+    title : str
+    determined : bool
+        Otherwise the title says that there is no orientation.
+    """
+    statistics = orientation.points()
+    used = statistics.used
+    c = orientation.adjustment.correspondences
+    places = c.left * c.principal_distances[0]
+    rms = float(np.sqrt(np.mean(statistics.y_parallax[used] ** 2)))
+    unit = max(3.0 * rms, 1e-9)
+    across = _across(orientation.pose.base) * np.array([1.0, -1.0])
+    extent = np.maximum(np.ptp(places, axis=0), 1e-9)
+    length = 0.07 * float(extent.max()) / unit
+    with figure_style():
+        ratio = float(np.clip(extent[1] / extent[0], 0.3, 1.4))
+        figure = Figure(figsize=(5.2, 5.2 * ratio + 1.1), layout="constrained")
+        axes = figure.subplots()
+        for rows, colour in ((~used, _LEFT_OUT), (used, PERPENDICULAR)):
+            size = np.clip(statistics.y_parallax[rows], -2.0 * unit, 2.0 * unit) * length
+            axes.plot(*places[rows].T, ".", color=colour, markersize=4.0)
+            axes.quiver(
+                *places[rows].T,
+                *(size[:, None] * across).T,
+                angles="xy",
+                scale_units="xy",
+                scale=1.0,
+                color=colour,
+                width=0.003,
+            )
+        if len(names) <= _MOST_NAMES:
+            for name, place in zip(names, places, strict=True):
+                axes.annotate(name, place, (4, 3), textcoords="offset points", fontsize=7, color=RAY)
+        axes.plot(0.0, 0.0, "+", color=INK, markersize=8)
+        axes.set_aspect("equal")
+        axes.margins(0.12)
+        axes.set_xlabel(f"x in the left photograph ({c.unit})")
+        axes.set_ylabel(f"y ({c.unit})")
+        out = int((~used).sum())
+        title = title if determined else f"{title} (NOT ORIENTED)"
+        figure.suptitle(
+            f"{title}\ny-parallaxes of {int(used.sum())} points, "
+            f"{rms:.4f} {c.unit} rms; {out} left out (red)",
+            fontsize=8.5,
+        )
+        _scale_arrow(axes, 0.07 * float(extent.max()), f"{unit:.4f} {c.unit}")
+    return figure
+
+
+def _scale_arrow(axes: Any, length: float, text: str) -> None:
+    """The length of a y-parallax, in the lower left corner of the plot."""
+    x, y = axes.get_xlim()[0], axes.get_ylim()[0]
+    pad = 0.03 * (axes.get_xlim()[1] - x)
+    axes.annotate(
+        "",
+        (x + pad + length, y + pad),
+        (x + pad, y + pad),
+        arrowprops={"arrowstyle": "-|>", "color": PERPENDICULAR, "shrinkA": 0, "shrinkB": 0},
+    )
+    axes.text(x + 1.6 * pad + length, y + pad, text, fontsize=7, va="center", color=INK)
+
+
+def six_point_picture(orientation: RelativeOrientation, title: str) -> Figure:
     """The model in plan along the base, and the mean y-parallax around von Gruber's six points."""
-    orientation = _orientation(result)
     statistics = orientation.points()
     correspondences = orientation.adjustment.correspondences
     places = model_points(orientation.pose, correspondences)[:, :2]
@@ -136,15 +208,25 @@ def six_point_picture(result: AutomaticOrientation, names: tuple[str, str]) -> F
         wide = tall * size[0] / size[1] + 3.0
         figure = Figure(figsize=(wide, tall + 1.1), layout="constrained")
         axes = figure.subplots()
-        axes.plot(*places[used].T, ".", color="#b9c6d6", markersize=1.8, zorder=1)
+        dot = 1.8 if np.count_nonzero(used) > _MOST_NAMES else 5.0
+        axes.plot(*places[used].T, ".", color="#b9c6d6", markersize=dot, zorder=1)
+        zones = six_points(orientation.pose, correspondences, statistics)
+        # The centres are named on the side of the base where points 1 and 2 are not.
+        side = 1 if zones[0].place[1] < 0.0 else -1
         axes.plot([0.0, 1.0], [0.0, 0.0], color=INK, linewidth=0.8, zorder=2)
         for x, label in ((0.0, "left centre"), (1.0, "right centre")):
             axes.plot(x, 0.0, "+", color=INK, markersize=9, zorder=3)
             axes.annotate(
-                label, (x, 0.0), (0, -13), textcoords="offset points", ha="center", fontsize=6.5, color=RAY
+                label,
+                (x, 0.0),
+                (0, 7 if side > 0 else -13),
+                textcoords="offset points",
+                ha="center",
+                fontsize=6.5,
+                color=RAY,
             )
-        for point in six_points(orientation.pose, correspondences, statistics):
-            _six_point(axes, point)
+        for point in zones:
+            _six_point(axes, point, 3 if correspondences.unit == "px" else 4)
         pad = np.array([1.3 * size[0] / (tall * size[0] / size[1]), 0.06 * size[1]])
         axes.set_xlim(low[0] - pad[0], high[0] + pad[0])
         axes.set_ylim(low[1] - pad[1], high[1] + pad[1])
@@ -152,12 +234,13 @@ def six_point_picture(result: AutomaticOrientation, names: tuple[str, str]) -> F
         axes.set_xlabel("along the base (bases)")
         axes.set_ylabel("across (bases)")
         figure.suptitle(
-            f"{names[0]}, {names[1]}\nmean y-parallax (px) around the six orientation points", fontsize=8.5
+            f"{title}\nmean y-parallax ({correspondences.unit}) around the six orientation points",
+            fontsize=8.5,
         )
     return figure
 
 
-def _six_point(axes: Any, point: OrientationPoint) -> None:
+def _six_point(axes: Any, point: OrientationPoint, digits: int) -> None:
     x, y = point.place
     axes.plot(x, y, "o", color="white", markeredgecolor=PERPENDICULAR, markersize=13, zorder=4)
     axes.annotate(
@@ -166,9 +249,11 @@ def _six_point(axes: Any, point: OrientationPoint) -> None:
     if point.points == 0:
         text = "no points"
     elif math.isnan(point.standard_deviation):
-        text = f"{point.y_parallax:+.3f}\n1 point"
+        text = f"{point.y_parallax:+.{digits}f}\n1 point"
     else:
-        text = f"{point.y_parallax:+.3f} ± {point.standard_deviation:.3f}\n{point.points} points"
+        text = (
+            f"{point.y_parallax:+.{digits}f} ± {point.standard_deviation:.{digits}f}\n{point.points} points"
+        )
     # Outwards: odd numbers stand at the left end of the overlap.
     outwards = -1 if point.number % 2 else 1
     axes.annotate(

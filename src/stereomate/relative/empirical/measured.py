@@ -13,8 +13,8 @@ from stereomate.camera.model import Camera
 from stereomate.errors import InputError, NotDeterminedError
 from stereomate.geometry.rotations import opk_from_rotation, rotation_z
 from stereomate.relative.automatic import AutomaticOrientation
-from stereomate.relative.diagnosis import model_points
 from stereomate.relative.empirical.projectors import PlotterModel, Projector, Setting
+from stereomate.relative.model import model_points
 from stereomate.relative.pair import RelativePose
 
 FloatArray = NDArray[np.float64]
