@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,7 +20,7 @@ from stereomate.rectify.blend import photographs_across
 from stereomate.rectify.ground import Ground, ground_of, heights_of, mate_positions, shown_ground
 from stereomate.rectify.job import RectifyJob
 from stereomate.rectify.kernels.seams import balance as balance_pixels
-from stereomate.rectify.kernels.seams import mix
+from stereomate.rectify.kernels.seams import lift, mix
 from stereomate.rectify.kernels.serve import LEFT_SEES, RIGHT_SEES
 from stereomate.rectify.kernels.warp import clear_invalid, warp
 from stereomate.rectify.layout import StereoModel
@@ -27,13 +28,14 @@ from stereomate.rectify.radiometry import TABLE_NODES, Balance
 from stereomate.rectify.readers import reader_of
 from stereomate.rectify.resample import resample
 from stereomate.rectify.scratch import scratch
-from stereomate.rectify.serving import Pixels, camera_nodes, models_of_window, serve_pixels
+from stereomate.rectify.serving import Pixels, camera_nodes, in_window, models_of_window, serve_pixels
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Side = Literal["left", "right"]
 
 NO_PHOTOGRAPH = np.empty((0, 0), np.uint16)
+NOT_MIXED = np.empty((0, 0), np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,11 +108,14 @@ def _render(job: RectifyJob, ground: Ground, pixels: Pixels, side: Side, name: s
             _composite(
                 job, ground, pixels, nodes[int(p) - 1], int(p) - 1, wanted, Part(out, valid, photograph)
             )
+        part = Part(out, valid, photograph)
         mixed = photographs_across(job, ground, pixels, models, nodes, serving, side == "left")
         if mixed is not None:
             for p in np.unique(mixed[0][mixed[0] > 0]):
-                _mix(job, ground, pixels, nodes[int(p) - 1], int(p) - 1, mixed, Part(out, valid, photograph))
-    clear_invalid(out, valid)
+                _mix(job, ground, pixels, nodes[int(p) - 1], int(p) - 1, mixed, part)
+        _level(job, pixels, models, serving.model, side, mixed, part)
+    if cv2.countNonZero(valid) < valid.size:
+        clear_invalid(out, valid)
     return Part(out, valid, photograph)
 
 
@@ -160,6 +165,36 @@ def _mix(
     box, values, valid = _one_photograph(job, ground, pixels, nodes, p, mixed[0])
     valid[part.valid[box] == 0] = 0
     mix(part.pixels[box], values, valid, mixed[1][box], job.dtype.kind != "f")
+
+
+def _level(
+    job: RectifyJob,
+    pixels: Pixels,
+    models: list[StereoModel],
+    model: NDArray[np.int16],
+    side: Side,
+    mixed: tuple[NDArray[np.uint16], Floats32] | None,
+    part: Part,
+) -> None:
+    """Bring both sides of seams to one brightness, where the models of the seams really serve."""
+    if job.seams is None or not job.seams.is_levelled:
+        return
+    owner = scratch("level owner", model.shape, np.int16)
+    job.seams.labels(pixels.window, pixels.columns, owner)
+    owner[in_window(job, models)[owner] != model] = -1
+    levels = job.seams.level(pixels.window, pixels.columns, owner, side == "right", len(job.bands))
+    if levels is None:
+        return
+    share = NOT_MIXED if mixed is None else np.where(mixed[0] > 0, mixed[1], np.float32(0.0))
+    lift(part.pixels, part.valid, levels, share, *_limits(job.dtype))
+
+
+def _limits(dtype: np.dtype[Any]) -> tuple[float, float]:
+    """Range of integers; floats, which are not limited, as (1, 0)."""
+    if dtype.kind == "f":
+        return 1.0, 0.0
+    limits = np.iinfo(np.zeros(0, dtype).dtype)
+    return float(limits.min), float(limits.max)
 
 
 def _one_photograph(
@@ -228,7 +263,7 @@ def _resample_photograph(
         reader,
         job.bands,
         (map_x, map_y),
-        _extremes(map_x, map_y, valid, count),
+        _extremes(map_x, map_y, valid),
         (shift[0], shift[1]),
         reduction,
         job.options.resampling,
@@ -251,20 +286,17 @@ def _balance(
     size = job.photographs[p].camera.size_px
     table = balance.table(p, size)
     steps = [edge / job.reductions[p] / (TABLE_NODES - 1) for edge in size]
-    low, high = (1.0, 0.0)  # floats are not limited
-    if job.dtype.kind != "f":
-        limits = np.iinfo(np.zeros(0, job.dtype).dtype)
-        low, high = float(limits.min), float(limits.max)
+    low, high = _limits(job.dtype)
     offset_x, offset_y = origin[0] + 0.5, origin[1] + 0.5
     map_x, map_y = positions
     balance_pixels(out, valid, map_x, map_y, offset_x, offset_y, table, steps[0], steps[1], low, high)
 
 
 def _extremes(
-    map_x: Floats32, map_y: Floats32, valid: NDArray[np.uint8], count: int
+    map_x: Floats32, map_y: Floats32, valid: NDArray[np.uint8]
 ) -> tuple[float, float, float, float]:
     """Least and greatest x and y of the valid positions."""
-    if count < valid.size:
-        inside = valid != 0
-        map_x, map_y = map_x[inside], map_y[inside]
-    return float(map_x.min()), float(map_x.max()), float(map_y.min()), float(map_y.max())
+    (min_x, max_x), (min_y, max_y) = (
+        cv2.minMaxLoc(positions, mask=valid)[:2] for positions in (map_x, map_y)
+    )
+    return min_x, max_x, min_y, max_y

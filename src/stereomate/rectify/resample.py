@@ -79,7 +79,7 @@ def resample(
 def filled_parts(valid: NDArray[np.uint8]) -> list[tuple[slice, slice]]:
     """The parts of a window worth resampling: all of it, or bands of rows cut to their valid columns."""
     rows, cols = valid.shape
-    if valid.all():
+    if cv2.countNonZero(valid) == valid.size:
         return [(slice(0, rows), slice(0, cols))]
     parts = []
     for row0 in range(0, rows, _BAND_PX):

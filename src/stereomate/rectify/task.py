@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -67,9 +68,24 @@ class ChunkTask:
         if mate is not None:
             blobs[MATE] = self._encoded(mate)
             parts.append(mate)
-        lineage = np.stack([part.photograph for part in parts], axis=-1)
-        blobs[LINEAGE] = encode_chunk(lineage_profile(self.job), self.plan, lineage)
+        blobs[LINEAGE] = _encoded_lineage(lineage_profile(self.job), self.plan, parts)
         return blobs
 
     def _encoded(self, part: Part) -> bytes:
         return encode_chunk(self.profile, self.plan, part.pixels, part.valid != 0)
+
+
+def _encoded_lineage(profile: CogProfile, plan: TilePlan, parts: list[Part]) -> bytes:
+    lineage = np.stack([part.photograph for part in parts], axis=-1)
+    photographs = lineage[0, 0]
+    if (lineage == photographs).all():
+        return _encoded_alike(profile, plan, lineage.shape[:2], tuple(int(p) for p in photographs))
+    return encode_chunk(profile, plan, lineage)
+
+
+@lru_cache(maxsize=64)
+def _encoded_alike(
+    profile: CogProfile, plan: TilePlan, shape: tuple[int, int], photographs: tuple[int, ...]
+) -> bytes:
+    """The lineage of a chunk all from the same photographs: most chunks are, and nothing else decides it."""
+    return encode_chunk(profile, plan, np.full((*shape, len(photographs)), photographs, np.uint16))

@@ -197,13 +197,15 @@ def valid_by_nodata(src: Image, nodata: Any, out: Bytes) -> int:
     rows, cols, bands = src.shape
     count = 0
     for r in range(rows):
+        known = out[r]
+        # Band by band, so that the loops over pixels become vector instructions.
+        for b in range(bands):
+            band = src[r, :, b]
+            for c in range(cols):
+                found = (band[c] != nodata) & (band[c] == band[c])
+                known[c] = found if b == 0 else known[c] | found
         for c in range(cols):
-            known = False
-            for b in range(bands):
-                value = src[r, c, b]
-                known |= (value != nodata) & (value == value)
-            out[r, c] = known
-            count += known
+            count += known[c]
     return count
 
 
