@@ -183,6 +183,7 @@ def _print_surface(summary: SurfaceSummary) -> None:
     rows: list[list[Any]] = [
         ["cell", f"{summary.cell:g}"],
         ["matched", f"{summary.matched:.1%} of what both products show"],
+        ["beside a jump", f"{summary.beside_jumps:.1%} of the cells: they may show either level"],
         ["σ of a height, median", f"{summary.sigma_median_m:.3f} m = {per_mille:.2f} ‰ of the flying height"],
     ]
     out.print(table(f"Surface: {summary.path}", ("what", "value"), rows, left=(0, 1)))

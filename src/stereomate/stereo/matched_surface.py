@@ -46,8 +46,9 @@ BANDS: Final = (
     "standard deviation of the height: noise of matching, and what the matching window smooths",
     "miss distance of the rays, positive where the left one passes on the side of v (north)",
     "correlation of the matched windows",
+    "1 where the surface jumps beside the cell: it may show either level, and no standard deviation holds",
 )
-HEIGHT, ABOVE, SIGMA, MISS, CORRELATION = range(5)
+HEIGHT, ABOVE, SIGMA, MISS, CORRELATION, JUMP = range(6)
 # Of which orthophoto a surface is: SHA-256.
 ORTHO_TAG: Final = "STEREOMATE_ORTHO_SHA256"
 
@@ -107,6 +108,8 @@ class SurfaceSummary:
         Share of the ground with orthophoto and stereomate that was matched.
     at_limits : float
         Share of the matches beside the ends of the search range: wide ranges find more.
+    beside_jumps : float
+        Share of the cells that may show either level of a jump (band `JUMP`).
     sigma_median_m : float
     flying_height_m : float
         Of the centres above the ground, median of the models.
@@ -117,6 +120,7 @@ class SurfaceSummary:
     cell: float
     matched: float
     at_limits: float
+    beside_jumps: float
     sigma_median_m: float
     flying_height_m: float
     models: tuple[ModelQuality, ...]
@@ -128,6 +132,7 @@ class SurfaceSummary:
             "cell": self.cell,
             "matched": self.matched,
             "at_limits": self.at_limits,
+            "beside_jumps": self.beside_jumps,
             "sigma_median_m": self.sigma_median_m,
             "sigma_per_mille_of_flying_height": 1e3 * self.sigma_median_m / self.flying_height_m,
             "models": [model.as_record() for model in self.models],
@@ -258,31 +263,34 @@ class SurfaceTask:
 def surface_window(
     product: StereoProduct, window: Window, options: SurfaceOptions, margin: int
 ) -> tuple[Floats32, dict[str, Any]]:
-    """The surface over a window of its cells (rows, cols, 5), and what is counted for the summary."""
+    """The surface over a window of its cells (rows, cols, bands), and what is counted for the summary."""
     step = options.dense.step_px
-    cells = -(-margin // step)
+    around = -(-margin // step)
     wide = Window(
-        (window.col0 - cells) * step,
-        (window.row0 - cells) * step,
-        (window.cols + 2 * cells) * step,
-        (window.rows + 2 * cells) * step,
+        (window.col0 - around) * step,
+        (window.row0 - around) * step,
+        (window.cols + 2 * around) * step,
+        (window.rows + 2 * around) * step,
     )
     found = match_window(product, wide, options)
     out = np.full((window.rows, window.cols, len(BANDS)), np.nan, np.float32)
     if found is None:
-        return out, {"common": 0, "matched": 0, "at_limits": 0, "sigma": [0] * _SIGMA_BINS, "models": {}}
+        counts = dict.fromkeys(("common", "matched", "at_limits", "cells", "jumps"), 0)
+        return out, counts | {"sigma": [0] * _SIGMA_BINS, "models": {}}
     laid = np.empty_like(out)
     room = 1.0 / product.job.frame.heights.metres_per_unit
-    kernels.lay_points(found.points, found.match.correlation, step, cells, cells, room, laid)
-    inside = (slice(cells, cells + window.rows), slice(cells, cells + window.cols))
+    kernels.lay_points(found.points, found.match.correlation, step, around, around, room, laid)
+    inside = (slice(around, around + window.rows), slice(around, around + window.cols))
     laid[..., ABOVE] = laid[..., HEIGHT] - found.pair.heights[step // 2 :: step, step // 2 :: step][inside]
     laid[_speckles(laid[..., ABOVE], room)] = np.nan
     kernels.fill_small_gaps(laid, _NEIGHBOURS, out)
     reach = max(1, round(0.5 * options.dense.window_px / step))
-    sigma = np.empty(out.shape[:2], np.float32)
-    kernels.add_shape(out, reach, _SMOOTHED, room, sigma)
-    out[..., SIGMA] = sigma
-    return out, _counts(product, found, inside)
+    sigma, jumps = np.empty(out.shape[:2], np.float32), np.empty(out.shape[:2], np.float32)
+    kernels.add_shape(out, reach, _SMOOTHED, room, sigma, jumps)
+    out[..., SIGMA], out[..., JUMP] = sigma, jumps
+    known = np.isfinite(jumps)
+    cells = {"cells": int(known.sum()), "jumps": int((jumps[known] > 0.0).sum())}
+    return out, _counts(product, found, inside) | cells
 
 
 def _speckles(above: Floats32, room: float) -> NDArray[np.bool_]:
@@ -367,7 +375,8 @@ def _summary(
     product: StereoProduct, grid: ProductGrid, path: Path, found: list[dict[str, Any]]
 ) -> SurfaceSummary:
     job = product.job
-    common, matched, limits = (sum(part[k] for part in found) for k in ("common", "matched", "at_limits"))
+    keys = ("common", "matched", "at_limits", "cells", "jumps")
+    common, matched, limits, cells, jumps = (sum(part[k] for part in found) for k in keys)
     sigma = np.sum([part["sigma"] for part in found], axis=0)
     tally = ModelTally(job.grid.gsd)
     for part in found:
@@ -378,6 +387,7 @@ def _summary(
         cell=grid.gsd,
         matched=matched / common if common else math.nan,
         at_limits=limits / matched if matched else math.nan,
+        beside_jumps=jumps / cells if cells else math.nan,
         sigma_median_m=_median_of_classes(sigma) * job.frame.heights.metres_per_unit,
         flying_height_m=float(np.median(flying)),
         models=tally.qualities([p.name for p in job.photographs], job.frame.unit_m),

@@ -86,6 +86,58 @@ def _ground(
 
 
 @kernel
+def _object_point(
+    left: tuple[float, float, float],
+    right: tuple[float, float, float],
+    slope: tuple[float, float],
+    apart: tuple[float, float, float],
+    noise: tuple[float, float, float],
+) -> tuple[float, float, float]:
+    """Where two rays meet: share of the way from the left ground to its centre, its variance, miss distance.
+
+    Parameters
+    ----------
+    left, right : (u, v, h)
+        From each centre to its ground point.
+    slope : (dh/du, dh/dv)
+        Of the ground at the right point.
+    apart : (u, v, h)
+        Left ground point minus right one.
+    noise : (uu, uv, vv)
+        Covariance of the right position in u and v, metres².
+
+    Returns
+    -------
+    NaN three times where the rays are parallel.
+    """
+    lu, lv, lh = left
+    ru, rv, rh = right
+    h_u, h_v = slope
+    du, dv, dh = apart
+    quu, quv, qvv = noise
+    nu, nv, nh = lv * rh - lh * rv, lh * ru - lu * rh, lu * rv - lv * ru
+    square = nu * nu + nv * nv + nh * nh
+    if not square > 0.0:
+        return math.nan, math.nan, math.nan
+    gap = nu * du + nv * dv + nh * dh
+    # k: change of the gap by the right position
+    ku, kv = nu + nh * h_u, nv + nh * h_v
+    ju, jv = quu * ku + quv * kv, quv * ku + qvv * kv
+    spread = ku * ju + kv * jv
+    shift_u, shift_v = ju * gap / spread, jv * gap / spread
+    du -= shift_u
+    dv -= shift_v
+    dh -= h_u * shift_u + h_v * shift_v
+    # s = (D x dR) . n / n . n, and its change by D
+    wu, wv, wh = rv * nh - rh * nv, rh * nu - ru * nh, ru * nv - rv * nu
+    s = (du * wu + dv * wv + dh * wh) / square
+    gu, gv = -(wu + wh * h_u) / square, -(wv + wh * h_v) / square
+    across = gu * ju + gv * jv
+    variance = gu * (quu * gu + quv * gv) + gv * (quv * gu + qvv * gv) - across * across / spread
+    return s, max(variance, 0.0), gap / math.sqrt(square)
+
+
+@kernel
 def intersect_matches(
     parallax: Floats32,
     row_parallax: Floats32,
@@ -154,31 +206,16 @@ def intersect_matches(
             lh = _node_value(ray_nodes[a], 2, x, y) + h_left
             ru, rv = _node_value(ray_nodes[b], 0, xr, yr), _node_value(ray_nodes[b], 1, xr, yr)
             rh = _node_value(ray_nodes[b], 2, xr, yr) + h_right
-            # left ground minus right ground
-            du, dv, dh = p * gsd, -e * gsd, h_left - h_right
-            nu, nv, nh = lv * rh - lh * rv, lh * ru - lu * rh, lu * rv - lv * ru
-            square = nu * nu + nv * nv + nh * nh
-            if not square > 0.0:
+            noise = (
+                (variance[m, n] + systematic) * gsd * gsd,
+                -covariance[m, n] * gsd * gsd,
+                (row_variance[m, n] + systematic) * gsd * gsd,
+            )
+            apart = p * gsd, -e * gsd, h_left - h_right
+            s, var, miss = _object_point((lu, lv, lh), (ru, rv, rh), (h_u, h_v), apart, noise)
+            if s != s:
                 continue
-            gap = nu * du + nv * dv + nh * dh
-            # k: change of the gap by the right position; Q: its covariance, metres
-            ku, kv = nu + nh * h_u, nv + nh * h_v
-            quu = (variance[m, n] + systematic) * gsd * gsd
-            quv = -covariance[m, n] * gsd * gsd
-            qvv = (row_variance[m, n] + systematic) * gsd * gsd
-            ju, jv = quu * ku + quv * kv, quv * ku + qvv * kv
-            spread = ku * ju + kv * jv
-            shift_u, shift_v = ju * gap / spread, jv * gap / spread
-            du -= shift_u
-            dv -= shift_v
-            dh -= h_u * shift_u + h_v * shift_v
-            # s = (D x dR) . n / n . n, and its change by D
-            wu, wv, wh = rv * nh - rh * nv, rh * nu - ru * nh, ru * nv - rv * nu
-            s = (du * wu + dv * wv + dh * wh) / square
             height = h_left - s * lh
-            gu, gv = -(wu + wh * h_u) / square, -(wv + wh * h_v) / square
-            across = gu * ju + gv * jv
-            var = gu * (quu * gu + quv * gv) + gv * (quv * gu + qvv * gv) - across * across / spread
             col, row = c + 0.5 - s * lu / gsd, r + 0.5 + s * lv / gsd
             xo, yo = (col - node_col) / step, (row - node_row) / step
             below = sample(
@@ -190,8 +227,8 @@ def intersect_matches(
             points[ABOVE, m, n] = height - below - _node_value(surface_nodes, 2, xo, yo)
             # a point above the ground moves less than the ground behind it
             nearer = 1.0 + (height - h_right) / rh
-            points[SIGMA, m, n] = abs(lh) * nearer * math.sqrt(max(var, 0.0))
-            points[MISS, m, n] = gap / math.sqrt(square)
+            points[SIGMA, m, n] = abs(lh) * nearer * math.sqrt(var)
+            points[MISS, m, n] = miss
             pairs[0, m, n] = a
             pairs[1, m, n] = b
 
@@ -229,8 +266,8 @@ def lay_points(
     room : float
         Points lower than the highest one by more than this and by four standard deviations belong to
         something that it hides; neighbours that differ by more are of another surface.
-    out : (rows, cols, 5)
-        Height, nothing yet, standard deviation, miss distance, correlation; NaN for none.
+    out : (rows, cols, 5 or more)
+        Height, nothing yet, standard deviation, miss distance, correlation; NaN for none. Others are left.
     """
     rows, cols = out.shape[:2]
     top = np.full((rows, cols), -np.inf)
@@ -311,12 +348,17 @@ def fill_small_gaps(values: Floats32, least: int, out: Floats32) -> None:
 
 
 @kernel
-def add_shape(values: Floats32, reach: int, share: float, most: float, out: Floats32) -> None:
+def add_shape(
+    values: Floats32, reach: int, share: float, most: float, out: Floats32, jumps: Floats32
+) -> None:
     """Standard deviations with what a matching window smooths: the bend of the surface over its half width.
+
+    Where the surface jumps beside a cell, the edge may lie on its other side: the cell shows one of two
+    levels, and no standard deviation says which.
 
     Parameters
     ----------
-    values : (rows, cols, 5)
+    values : (rows, cols, layers)
         Height first, standard deviation third.
     reach : int
         Cells to the neighbours that the bend is taken from.
@@ -326,11 +368,18 @@ def add_shape(values: Floats32, reach: int, share: float, most: float, out: Floa
         Larger bends are walls: the window leaves out what lies beyond them.
     out : (rows, cols)
         Standard deviations.
+    jumps : (rows, cols)
+        1 where the surface bends by more than `most` from one cell to the next, NaN where there is none.
     """
     rows, cols = values.shape[:2]
     for i in range(rows):
         for j in range(cols):
             h = np.float64(values[i, j, 0])
+            jumps[i, j] = 0.0 if h == h else np.nan
+            if 0 < i < rows - 1 and abs(values[i - 1, j, 0] - 2.0 * h + values[i + 1, j, 0]) > most:
+                jumps[i, j] = 1.0
+            if 0 < j < cols - 1 and abs(values[i, j - 1, 0] - 2.0 * h + values[i, j + 1, 0]) > most:
+                jumps[i, j] = 1.0
             worst = 0.0
             for k in range(2):
                 di, dj = (reach, 0) if k == 0 else (0, reach)
