@@ -38,7 +38,13 @@ _IMPORT = re.compile(
 
 def kernel(function: F) -> F:
     """Compile a kernel: nogil, cached, numpy division rules, no fast-math."""
-    compile_it = numba.njit(nogil=True, cache=True, error_model="numpy", boundscheck=BOUNDSCHECK)
+    return _compiled(function, forced=False)
+
+
+def _compiled(function: F, forced: bool) -> F:
+    compile_it = numba.njit(
+        nogil=True, cache=True, error_model="numpy", boundscheck=BOUNDSCHECK, forceinline=forced
+    )
     if "NUMBA_CACHE_DIR" in os.environ:
         return cast(F, compile_it(function))
     # The folder is numba's to read while it sets up this one function, and nobody else's.
@@ -51,8 +57,8 @@ def kernel(function: F) -> F:
 
 
 def inline_kernel(function: F) -> F:
-    """Compile a small device function that numba may inline into its callers (LLVM decides)."""
-    return kernel(function)
+    """Compile a small function that is always inlined: a call that passes arrays costs more than it does."""
+    return _compiled(function, forced=True)
 
 
 @functools.cache

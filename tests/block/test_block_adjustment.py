@@ -11,6 +11,7 @@ from blocks import make_block
 from dense_adjustment import Dense
 from scipy.stats import binom, chi2
 
+from stereomate.block import prepared
 from stereomate.block.adjustment import adjust_block
 from stereomate.block.network import Attitudes, BlockCamera, Control, ImagePoints, Network, Positions
 from stereomate.block.options import BlockOptions, TestOptions
@@ -130,7 +131,8 @@ def test_detection_limit_is_baardas():
     assert detection_limit(0.05, 0.80) == pytest.approx(2.802, abs=5e-4)
 
 
-def test_band_and_dense_form_agree():
+def test_band_and_dense_form_agree(monkeypatch):
+    monkeypatch.setattr(prepared, "_SMALL", 8)
     long = make_block(columns=12, rows=1, gnss=0.05, control=5, per_photo=20)
     a = adjust_block(long.network, PRIOR)
     assert a.solution.prepared.skew == 1

@@ -12,11 +12,13 @@ from scipy.linalg import qr
 from stereomate.block.network import Network
 from stereomate.block.unknowns import State
 from stereomate.geometry.rotations import rotation_from_vector, skew
+from stereomate.geometry.similarity import closed_form
 
 Array = NDArray[np.float64]
 
 # A direction of the similarity that moves no datum observation, but for this part of what others do, is open.
 _OPEN: Final = 1e-9
+_ALL: Final = 7
 _NAMES: Final = ("shift x", "shift y", "shift z", "turn x", "turn y", "turn z", "scale")
 
 
@@ -94,6 +96,8 @@ def find_defect(network: Network, used: NDArray[np.bool_] | None = None) -> Defe
         fixed = network.photographs.fixed
         rows.append(_place_moves(centres - origin, extent)[fixed[:, :3]])
         rows.append(np.broadcast_to(turn, (len(fixed), 3, 7))[fixed[:, 3:]])
+    if len(rows) == 1:
+        return Defect(np.eye(_ALL), origin, extent)
     design = np.concatenate(rows) / extent
     values, vectors = np.linalg.eigh(design.T @ design)
     open_ones = values < _OPEN * max(float(values.max(initial=0.0)), 1e-30)
@@ -155,6 +159,14 @@ def onto_start(state: State, start: State, defect: Defect, determined: NDArray[n
     here = np.concatenate([state.centres, state.points[determined]])
     there = np.concatenate([start.centres, start.points[determined]])
     rotations, points = state.rotations, state.points
+    if defect.size == _ALL:
+        found = closed_form(here, there, False, np.ones(len(here)))
+        return replace(
+            state,
+            centres=found.apply(state.centres),
+            rotations=np.array(found.rotation) @ rotations,
+            points=found.apply(points),
+        )
     for _ in range(20):
         moves = defect.moves(here).reshape(-1, defect.size)
         t = defect.directions @ np.linalg.lstsq(moves, (there - here).reshape(-1), rcond=None)[0]

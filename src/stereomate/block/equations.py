@@ -12,15 +12,17 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpbtrf, dpotrf
+from scipy.linalg.lapack import dpbtrf, dpotrf, dpotrs
 
 from stereomate.block.kernels import normal, system
 from stereomate.block.navigation import groups_of
 from stereomate.block.prepared import Prepared
+from stereomate.block.triangular import backward, forward
 from stereomate.block.unknowns import State, packed_camera, prior_residuals
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 # Part of an unknown's information that must be left when all others are unknown too.
 _SINGULAR: Final = 1e-13
@@ -28,12 +30,16 @@ _SINGULAR: Final = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class CameraArrays:
-    """Cameras as the kernels read them: model codes, parameter arrays, active entries, their derivatives."""
+    """Cameras as the kernels read them: model codes, parameter arrays, and what moves their entries.
+
+    `entries` (c, k, 2): an entry of the parameter array and the unknown of the camera that moves it, with
+    `derivatives` (c, k); -1 ends the list of a camera.
+    """
 
     model: Integers
     packed: Array
-    active: Integers
-    jacobian: Array
+    entries: Integers
+    derivatives: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +55,15 @@ class Equations:
         Observations that cannot be computed; points without a solution.
     matrix : ndarray, shape (6 n, width)
         As in `kernels.normal`; becomes the factor.
-    border, corner, right, right_border, diagonal, diagonal_border : ndarray
-    v_inverse, v_right : ndarray, shape (p, 6), (p, 3)
+    rows : ndarray, shape (q + 1, 6 n)
+        The border, and the right side of the photographs below it; become ``L⁻¹`` times them.
+    right : ndarray, shape (6 n,)
+        A copy of the right side.
+    corner, right_border, diagonal, diagonal_border : ndarray
+    information : ndarray, shape (m, 6)
+        Of each observation about its point.
+    by_border : ndarray, shape (cameras of points, columns, 3)
+    v_inverse, v_right, solvable : ndarray, shape (p, 6), (p, 3), (p,)
     cameras : CameraArrays
     """
 
@@ -59,20 +72,23 @@ class Equations:
     failed: int
     undetermined: int
     matrix: Array
-    border: Array
-    corner: Array
+    rows: Array
     right: Array
+    corner: Array
     right_border: Array
     diagonal: Array
     diagonal_border: Array
+    information: Array
+    by_border: Array
     v_inverse: Array
     v_right: Array
+    solvable: Mask
     cameras: CameraArrays
 
 
 @dataclass(frozen=True, eq=False)
 class Factored:
-    """Factor of the photographs' matrix L, ``L⁻¹ Bᵀ`` (6 n, q), and the factor of the reduced corner.
+    """Factor of the photographs' matrix L, ``(L⁻¹ Bᵀ)ᵀ`` (q, 6 n), and the factor of the reduced corner.
 
     Attributes
     ----------
@@ -97,47 +113,84 @@ class Step:
     promised: float
 
 
+@dataclass(frozen=True, eq=False)
+class Workspace:
+    """Arrays that every iteration writes anew: fresh memory costs more than the arithmetic on it."""
+
+    matrix: Array
+    rows: Array
+    information: Array
+    by_border: Array
+    v_inverse: Array
+    v_right: Array
+    solvable: Mask
+
+
+def workspace_of(prepared: Prepared) -> Workspace:
+    """Arrays for the equations of a network."""
+    layout, p = prepared.layout, len(prepared.start) - 1
+    n6 = prepared.free_photo.size
+    return Workspace(
+        np.empty((n6, prepared.width)),
+        np.empty((len(layout.names) + 1, n6)),
+        np.empty((len(prepared.order), 6)),
+        np.empty((len(prepared.camera_of), int(layout.free.max(initial=0)), 3)),
+        np.empty((p, 6)),
+        np.empty((p, 3)),
+        np.empty(p, np.bool_),
+    )
+
+
 def camera_arrays(prepared: Prepared, state: State) -> CameraArrays:
     """Pack the cameras at a state."""
     layout, cameras = prepared.layout, prepared.network.cameras
-    packed, derivatives = [], []
+    packed, lists = [], []
     for entry, values, chosen in zip(cameras, state.cameras, layout.chosen, strict=True):
         one, jacobian = packed_camera(entry.camera, values, chosen)
         packed.append(one)
-        derivatives.append(jacobian)
-    active = np.flatnonzero(np.any([np.any(j != 0.0, axis=1) for j in derivatives], axis=0)).astype(np.int64)
-    most = int(layout.free.max(initial=0))
-    jacobian = np.zeros((len(cameras), len(active), most))
-    for c, one in enumerate(derivatives):
-        jacobian[c, :, : one.shape[1]] = one[active]
+        where = np.argwhere(jacobian)
+        lists.append((where, jacobian[where[:, 0], where[:, 1]]))
+    most = max(len(values) for _, values in lists) + 1
+    entries, derivatives = np.full((len(cameras), most, 2), -1), np.zeros((len(cameras), most))
+    for c, (where, numbers) in enumerate(lists):
+        entries[c, : len(numbers)], derivatives[c, : len(numbers)] = where, numbers
     models = np.array([entry.camera.jacobian_model for entry in cameras], dtype=np.int64)
-    return CameraArrays(models, np.array(packed), active, jacobian)
+    return CameraArrays(models, np.array(packed), entries, derivatives)
 
 
 def build(
-    prepared: Prepared, state: State, start: State, width: float = math.inf, damping: float = 0.0
+    prepared: Prepared,
+    state: State,
+    start: State,
+    width: float = math.inf,
+    damping: float = 0.0,
+    workspace: Workspace | None = None,
 ) -> Equations:
-    """Normal equations at a state; `width` of Huber's loss on image points, Marquardt's `damping`."""
-    layout = prepared.layout
-    n, p, q = len(state.centres), len(state.points), len(layout.names)
+    """Normal equations at a state; `width` of Huber's loss on image points, Marquardt's `damping`.
+
+    They lie in the `workspace`, if one is given: the next ones overwrite them.
+    """
+    layout, own = prepared.layout, workspace or workspace_of(prepared)
+    n6, q = prepared.free_photo.size, len(layout.names)
     cameras = camera_arrays(prepared, state)
-    matrix, border = np.zeros((6 * n, prepared.width)), np.zeros((q, 6 * n))
-    corner, right, right_border = np.zeros((q, q)), np.zeros(6 * n), np.zeros(q)
-    diagonal, diagonal_border = np.zeros(6 * n), np.zeros(q)
-    v_inverse, v_right = np.empty((p, 6)), np.empty((p, 3))
+    matrix, border, right = own.matrix, own.rows[:q], own.rows[q]
+    matrix.fill(0.0)
+    own.rows.fill(0.0)
+    corner, right_border, diagonal_border = np.zeros((q, q)), np.zeros(q), np.zeros(q)
+    diagonal = np.zeros(n6)
     cost, promised, failed, undetermined = normal.build(
         prepared.start, prepared.photo, prepared.xy, prepared.weight, state.points, state.centres,
-        state.rotations, prepared.place, prepared.free_photo, prepared.network.photographs.camera,
-        cameras.model, cameras.packed, cameras.active, cameras.jacobian, layout.first, layout.free,
-        prepared.control, prepared.control_xyz, prepared.control_weight, prepared.control_free, width,
-        damping, prepared.skew, matrix, border, corner, right, right_border, diagonal, diagonal_border,
-        v_inverse, v_right,
+        state.rotations, prepared.place, prepared.network.photographs.camera, cameras.model, cameras.packed,
+        cameras.entries, cameras.derivatives, layout.first, layout.free, prepared.camera_start,
+        prepared.camera_of, prepared.control, prepared.control_xyz, prepared.control_weight,
+        prepared.control_free, width, damping, prepared.skew, matrix, border, corner, right, right_border,
+        diagonal, diagonal_border, own.information, own.by_border, own.v_inverse, own.v_right, own.solvable,
     )  # fmt: skip
     for group in groups_of(prepared.network, layout, state).values():
         cost += system.add_group(
             group.photo, group.residual, group.weight, group.by_photo, group.columns, group.by_shared,
-            prepared.place, prepared.free_photo, prepared.skew, matrix, border, corner, right, right_border,
-            diagonal, diagonal_border,
+            prepared.place, prepared.skew, matrix, border, corner, right, right_border, diagonal,
+            diagonal_border,
         )  # fmt: skip
     if q:
         weight = 1.0 / layout.prior_sigma**2
@@ -145,74 +198,65 @@ def build(
         cost += float(weight @ residual**2)
         right_border += weight * residual
         diagonal_border += weight
-        corner[np.arange(q), np.arange(q)] += weight
-    # Unknowns held fixed stand alone.
-    rows = np.arange(6 * n)
-    fixed = rows[(prepared.free_photo[np.argsort(prepared.place)] == 0.0).ravel()]
-    matrix[fixed, fixed * (1 - prepared.skew)] += 1.0
-    diagonal[fixed] += 1.0
+        corner.flat[:: q + 1] += weight
+    if prepared.any_held:
+        normal.hold(prepared.free_photo, prepared.place, prepared.skew, matrix, border, right, diagonal)
     if damping > 0.0:
-        matrix[rows, rows * (1 - prepared.skew)] += damping * diagonal
-        corner[np.arange(q), np.arange(q)] += damping * diagonal_border
+        _diagonal_of(prepared, matrix)[:] += damping * diagonal
+        corner.flat[:: q + 1] += damping * diagonal_border
     return Equations(
-        cost, promised, failed, undetermined, matrix, border, corner, right, right_border, diagonal,
-        diagonal_border, v_inverse, v_right, cameras,
+        cost, promised, failed, undetermined, matrix, own.rows, right.copy(), corner, right_border, diagonal,
+        diagonal_border, own.information, own.by_border, own.v_inverse, own.v_right, own.solvable, cameras,
     )  # fmt: skip
+
+
+def _diagonal_of(prepared: Prepared, matrix: Array) -> Array:
+    """View of the diagonal of the photographs' matrix."""
+    return matrix[:, 0] if prepared.skew else matrix.reshape(-1)[:: matrix.shape[1] + 1]
 
 
 def factor(prepared: Prepared, equations: Equations) -> Factored:
     """Cholesky factor of the photographs' matrix (in its place) and of what the border adds."""
-    routine = dpbtrf if prepared.skew else dpotrf
-    names = {"overwrite_ab": 1} if prepared.skew else {"overwrite_a": 1, "clean": 0}
-    _, info = routine(equations.matrix.T, lower=1, **names)
+    matrix, rows = equations.matrix, equations.rows
+    if prepared.skew:
+        _, info = dpbtrf(matrix.T, lower=1, overwrite_ab=1)
+    else:
+        _, info = dpotrf(matrix.T, lower=1, overwrite_a=1, clean=0)
     n, q = len(equations.right), len(equations.right_border)
-    rows = np.arange(n)
-    empty = np.zeros((n, 0))
     if info > 0:
-        return Factored(equations.matrix, empty, np.zeros((0, 0)), int(info) - 1)
-    pivots = equations.matrix[rows, rows * (1 - prepared.skew)] ** 2
-    weak = pivots < _SINGULAR * equations.diagonal
+        return Factored(matrix, np.zeros((0, n)), np.zeros((0, 0)), int(info) - 1)
+    weak = _diagonal_of(prepared, matrix) ** 2 < _SINGULAR * equations.diagonal
     if weak.any():
-        return Factored(equations.matrix, empty, np.zeros((0, 0)), int(np.argmax(weak)))
-    half = np.ascontiguousarray(equations.border.T)
+        return Factored(matrix, np.zeros((0, n)), np.zeros((0, 0)), int(np.argmax(weak)))
+    forward(matrix, prepared.skew, rows)
+    half = rows[:q]
     corner = np.zeros((0, 0))
     if q:
-        system.forward(equations.matrix, prepared.skew, half)
-        reduced = equations.corner - half.T @ half
-        corner, info = dpotrf(reduced, lower=1, clean=1)
+        corner, info = dpotrf(equations.corner - half @ half.T, lower=1, clean=1)
         if info == 0:
             weak = np.diag(corner) ** 2 < _SINGULAR * equations.diagonal_border
             info = int(np.argmax(weak)) + 1 if weak.any() else 0
         if info > 0:
-            return Factored(equations.matrix, half, corner, n + int(info) - 1)
-    return Factored(equations.matrix, half, corner, -1)
+            return Factored(matrix, half, corner, n + int(info) - 1)
+    return Factored(matrix, half, corner, -1)
 
 
-def solve(
-    prepared: Prepared, equations: Equations, factored: Factored, state: State, width: float = math.inf
-) -> Step:
+def solve(prepared: Prepared, equations: Equations, factored: Factored, state: State) -> Step:
     """Corrections of all unknowns."""
     layout = prepared.layout
-    n = len(state.centres)
-    y = equations.right[:, None].copy()
-    system.forward(factored.factor, prepared.skew, y)
+    y = equations.rows[-1:].copy()
     shared = np.zeros(len(layout.names))
     if len(shared):
-        rest = equations.right_border - factored.half.T @ y[:, 0]
-        lower = factored.corner
-        shared = np.linalg.solve(lower.T, np.linalg.solve(lower, rest))
-        y[:, 0] -= factored.half @ shared
-    system.backward(factored.factor, prepared.skew, y)
-    photos = y.reshape(n, 6)[prepared.place]
+        rest = equations.right_border - factored.half @ y[0]
+        shared, _ = dpotrs(factored.corner, rest, lower=1)
+        y -= shared @ factored.half
+    backward(factored.factor, prepared.skew, y)
+    photos = y.reshape(-1, 6)[prepared.place]
     points = np.empty_like(state.points)
-    cameras = equations.cameras
     normal.correct_points(
-        prepared.start, prepared.photo, prepared.xy, prepared.weight, state.points, state.centres,
-        state.rotations, prepared.free_photo, prepared.network.photographs.camera, cameras.model,
-        cameras.packed, cameras.active, cameras.jacobian, layout.first, layout.free, prepared.control,
-        prepared.control_free, width, equations.v_inverse, equations.v_right, photos, shared, points,
+        prepared.start, prepared.photo, state.points, state.centres, prepared.camera_start,
+        prepared.camera_of, layout.first, layout.free, equations.information, equations.by_border,
+        equations.v_inverse, equations.v_right, photos, shared, points,
     )  # fmt: skip
-    promised = equations.promised_by_points + float(
-        equations.right @ y[:, 0] + equations.right_border @ shared
-    )
+    promised = equations.promised_by_points + float(equations.right @ y[0] + equations.right_border @ shared)
     return Step(photos, points, shared, promised)

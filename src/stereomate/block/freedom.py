@@ -11,10 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dpotrs
 
 from stereomate.block.equations import Equations, Factored
-from stereomate.block.kernels import covariance, normal, system
+from stereomate.block.kernels import normal
 from stereomate.block.loop import Solution
+from stereomate.block.triangular import backward, forward
 
 Array = NDArray[np.float64]
 
@@ -79,9 +81,7 @@ def _solved(
     solution: Solution, equations: Equations, factored: Factored, photos: Array, points: Array
 ) -> tuple[Array, Array, Array]:
     """Q times a right side over photographs (n, 6) and points (p, 3)."""
-    prepared, state, layout, cameras = (
-        solution.prepared, solution.state, solution.prepared.layout, equations.cameras,
-    )  # fmt: skip
+    prepared, state, layout = solution.prepared, solution.state, solution.prepared.layout
     photos = photos * prepared.free_photo
     n = len(photos)
     right = np.empty(6 * n)
@@ -96,26 +96,24 @@ def _solved(
         axis=1,
     )
     shared = np.zeros(len(layout.names))
-    camera = prepared.network.photographs.camera
-    covariance.photos_from_points(
-        prepared.start, prepared.photo, prepared.weight, state.points, state.centres, state.rotations,
-        prepared.place, prepared.free_photo, camera, cameras.model, cameras.packed, cameras.active,
-        cameras.jacobian, layout.first, layout.free, prepared.control, prepared.control_free, values, right,
-        shared,
+    normal.photos_from_points(
+        prepared.start, prepared.photo, state.points, state.centres, prepared.place, prepared.camera_start,
+        prepared.camera_of, layout.first, layout.free, equations.information, equations.by_border, values,
+        right, shared,
     )  # fmt: skip
-    y = right[:, None].copy()
-    system.forward(factored.factor, prepared.skew, y)
+    right.reshape(n, 6)[prepared.place] *= prepared.free_photo
+    y = right[None].copy()
+    forward(factored.factor, prepared.skew, y)
     if len(shared):
-        rest = shared - factored.half.T @ y[:, 0]
-        shared = np.linalg.solve(factored.corner.T, np.linalg.solve(factored.corner, rest))
-        y[:, 0] -= factored.half @ shared
-    system.backward(factored.factor, prepared.skew, y)
+        rest = shared - factored.half @ y[0]
+        shared, _ = dpotrs(factored.corner, rest, lower=1)
+        y -= shared @ factored.half
+    backward(factored.factor, prepared.skew, y)
     found = y.reshape(n, 6)[prepared.place] * prepared.free_photo
     out = np.empty_like(points)
     normal.correct_points(
-        prepared.start, prepared.photo, prepared.xy, prepared.weight, state.points, state.centres,
-        state.rotations, prepared.free_photo, camera, cameras.model, cameras.packed, cameras.active,
-        cameras.jacobian, layout.first, layout.free, prepared.control, prepared.control_free, np.inf,
+        prepared.start, prepared.photo, state.points, state.centres, prepared.camera_start,
+        prepared.camera_of, layout.first, layout.free, equations.information, equations.by_border,
         equations.v_inverse, points, found, shared, out,
     )  # fmt: skip
     return found, out, shared

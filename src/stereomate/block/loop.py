@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.block.datum import Defect, find_defect, held, onto_start
-from stereomate.block.equations import Equations, build, camera_arrays, factor, solve
+from stereomate.block.equations import Equations, build, camera_arrays, factor, solve, workspace_of
 from stereomate.block.kernels.projection import residuals as kernel_residuals
 from stereomate.block.network import Network
 from stereomate.block.options import BlockOptions
@@ -27,6 +28,8 @@ Progress = Callable[[int, float], None]
 _FIRST_DAMPING: Final = 1e-4
 _LARGEST_DAMPING: Final = 1e8
 _SINGULAR_DAMPING: Final = 1e-2
+# Steps that promise less than this part of the one before shrink fast: the next one is foreseen.
+_FAST: Final = 0.01
 _PHOTO_UNKNOWNS: Final = ("X0", "Y0", "Z0", "rotation x", "rotation y", "rotation z")
 
 
@@ -77,6 +80,12 @@ class Solution:
         return np.asarray(rays > 0)
 
 
+@functools.cache
+def _one_thread() -> None:
+    """Once: threads of BLAS make small factorisations slower, not faster."""
+    limit_library_threads()
+
+
 def image_residuals(prepared: Prepared, state: State) -> Array:
     """Observed minus computed pixels (m, 2) in the order of the network; NaN where none can be computed."""
     cameras, network = camera_arrays(prepared, state), prepared.network
@@ -118,7 +127,7 @@ def run_loop(
     InputError
         If the network has a datum defect and ``options.free_network`` is ``none``.
     """
-    limit_library_threads()
+    _one_thread()
     defect = find_defect(network, used)
     notes: list[str] = []
     if defect.size:
@@ -140,9 +149,6 @@ def run_loop(
     start = start_of(network, prepared.layout)
     first = state or start
     first = replace(first, points=fixed_axes_applied(prepared, first.points))
-    prepared, left_out = _computable(prepared, first)
-    if left_out:
-        notes.append(f"{left_out} image observations left out: the start puts their points behind the camera")
     loop = _Loop(prepared, start, first, options, width, progress)
     loop.run()
     final = loop.state
@@ -207,6 +213,7 @@ class _Loop:
     ) -> None:
         self.prepared, self.start, self.state = prepared, start, state
         self.options, self.width, self.progress = options, width, progress
+        self.workspace = workspace_of(prepared)
         self.cost = math.inf
         self.damping = 0.0
         self.iterations = self.damped = 0
@@ -247,12 +254,13 @@ class _Loop:
                 self.singular = self._name(factored.singular)
                 equations = self._built()
                 factored = factor(self.prepared, equations)
-            step = solve(self.prepared, equations, factored, self.state, self.width)
+            step = solve(self.prepared, equations, factored, self.state)
+            is_end = self._is_end(step.promised, last_promised)
             previous, last_promised = self.state, step.promised
             self.state = moved(self.state, self.prepared.layout, step.photos, step.points, step.shared)
-            small = step.promised <= self.options.relative_tolerance * max(self.cost, 1e-30)
-            if small and self.damping == 0.0:
+            if is_end:
                 self.converged = True
+                self.cost -= step.promised if math.isinf(self.width) else 0.0
                 break
             self.singular = self.singular if was_singular else ""
             stuck = was_singular and step.promised <= 1e-6 * self.cost
@@ -263,18 +271,37 @@ class _Loop:
             raise NotDeterminedError(self.singular + " is not determined")
         self.notes.append(f"not converged after {self.iterations} iterations")
 
+    def _is_end(self, promised: float, before: float) -> bool:
+        """Whether a step is the last: it promises next to nothing, or the one after it would, and less."""
+        if self.damping > 0.0:
+            return False
+        enough = self.options.relative_tolerance * max(self.cost, 1e-30)
+        if promised <= enough:
+            return True
+        # Once steps shrink fast the next one shrinks by this rate at least; it is not taken, so less is let.
+        fast = math.isinf(self.width) and promised < _FAST * before < math.inf
+        return fast and promised * (promised / before) <= 1e-3 * enough
+
     def _is_rounding(self, promised: float) -> bool:
         """Whether a cost that did not fall is one of rounding: the step promised next to nothing."""
         return promised <= 1e-9 * self.cost
 
     def _built(self) -> Equations:
-        equations = build(self.prepared, self.state, self.start, self.width, self.damping)
+        equations = build(self.prepared, self.state, self.start, self.width, self.damping, self.workspace)
+        if math.isinf(self.cost) and equations.failed:
+            self.prepared, count = _computable(self.prepared, self.state)
+            self.workspace = workspace_of(self.prepared)
+            self.notes.append(
+                f"{count} image observations left out: the start puts their points behind the camera"
+            )
+            return self._built()
         if math.isinf(self.cost) and self._lost(equations):
             # Parallel rays at the start: such a point says nothing, and would be taken as known.
-            weak = (equations.v_inverse[:, 0] == 0.0) & self._seen()
+            weak = ~equations.solvable & self._seen()
             used = np.zeros(len(self.prepared.order), np.bool_)
             used[self.prepared.order] = (self.prepared.weight[:, 0] > 0.0) & ~weak[self.prepared.point]
             self.prepared = prepare(self.prepared.network, used)
+            self.workspace = workspace_of(self.prepared)
             names = [self.prepared.network.points.names[j] for j in np.flatnonzero(weak)[:5]]
             self.notes.append(
                 f"{int(weak.sum())} points left out, their rays are parallel: {', '.join(names)}"
@@ -290,7 +317,7 @@ class _Loop:
         """Whether points that observations take part for have no solution."""
         if not equations.undetermined:
             return False
-        return bool(((equations.v_inverse[:, 0] == 0.0) & self._seen()).any())
+        return bool((~equations.solvable & self._seen()).any())
 
     def _name(self, index: int) -> str:
         """What an index of the normal equations stands for."""

@@ -20,6 +20,8 @@ Mask = NDArray[np.bool_]
 
 # From this part of the matrix on a band is no gain over a dense matrix.
 _DENSE: Final = 0.7
+# Up to so many photographs a band is not looked for.
+_SMALL: Final = 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +49,10 @@ class Prepared:
     control_xyz, control_weight, control_free : ndarray, shape (k, 3), (k, 3, 3), (k, 3)
     free_photo : ndarray, shape (n, 6)
         0 for unknowns held fixed.
+    any_held : bool
+        Whether there are such.
+    camera_start, camera_of : ndarray of int, shape (p + 1,), (cameras of points,)
+        Cameras with unknowns that see each point, ascending.
     """
 
     network: Network
@@ -65,6 +71,9 @@ class Prepared:
     control_weight: Array
     control_free: Array
     free_photo: Array
+    any_held: bool
+    camera_start: Integers
+    camera_of: Integers
 
 
 def prepare(network: Network, used: Mask | None = None) -> Prepared:
@@ -83,12 +92,13 @@ def prepare(network: Network, used: Mask | None = None) -> Prepared:
     photo_start = order_by(image.photo, n, order)
     by_photo_unsorted = order.copy()
     start = order_by(image.point, p, order)
-    rank = np.empty(len(order), np.int64)
-    rank[order] = np.arange(len(order))
-    photo = image.photo[order]
-    point = image.point[order]
-    starts, others = neighbours(photo, start, rank[by_photo_unsorted], photo_start, point)
-    place, reach = _best_order(starts, others, photographs.centres)
+    photo, point = image.photo[order], image.point[order]
+    place, reach = np.arange(n), n
+    if n > _SMALL:
+        rank = np.empty(len(order), np.int64)
+        rank[order] = np.arange(len(order))
+        starts, others = neighbours(photo, start, rank[by_photo_unsorted], photo_start, point)
+        place, reach = _best_order(starts, others, photographs.centres)
     # Within each point by place in the matrix.
     if not np.array_equal(place, np.arange(n)):
         order = np.arange(len(image.photo))
@@ -106,10 +116,27 @@ def prepare(network: Network, used: Mask | None = None) -> Prepared:
     weights[~active] = 0.0
     fixed = photographs.fixed
     free_photo: Array = np.ones((n, 6)) if fixed is None else 1.0 - fixed.astype(np.float64)
+    layout = layout_of(network)
     return Prepared(
-        network, layout_of(network), order, start, photo, point, image.xy[order], weights, place,
+        network, layout, order, start, photo, point, image.xy[order], weights, place,
         unknowns if dense else width, 0 if dense else 1, control, xyz, weight, free, free_photo,
+        fixed is not None and bool(fixed.any()), *_cameras_of_points(network, layout, photo, point),
     )  # fmt: skip
+
+
+def _cameras_of_points(
+    network: Network, layout: Layout, photo: Integers, point: Integers
+) -> tuple[Integers, Integers]:
+    """Cameras with unknowns that see each point, as (starts, indices)."""
+    p, count = len(network.points.names), len(network.cameras)
+    if not layout.free.any():
+        return np.zeros(p + 1, np.int64), np.empty(0, np.int64)
+    if count == 1:
+        return np.arange(p + 1), np.zeros(p, np.int64)
+    camera = network.photographs.camera[photo]
+    pairs = np.unique((point * count + camera)[layout.free[camera] > 0])
+    starts = np.searchsorted(pairs, np.arange(p + 1) * count)
+    return starts.astype(np.int64), pairs % count
 
 
 def _solvable(point: Integers, weights: Array, control: Integers, info: Array, free: Array) -> Mask:

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from stereomate.block.tie_points import BlockPhoto, grey_of_photo
+from stereomate.block.photos import BlockPhoto, grey_of_photo
 from stereomate.measurement.database import MeasurementDatabase
 from stereomate.measurement.least_squares_matching import LeastSquaresOptions, match_least_squares
 from stereomate.measurement.tracks import TiePoints

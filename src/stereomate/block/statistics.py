@@ -19,12 +19,12 @@ from scipy.stats import norm
 from stereomate.block.equations import Factored, build, factor
 from stereomate.block.freedom import inner_constraints
 from stereomate.block.kernels import covariance as kernels
-from stereomate.block.kernels import system
 from stereomate.block.loop import Solution, image_residuals
 from stereomate.block.navigation import Group, groups_of
 from stereomate.block.options import BlockOptions
 from stereomate.block.prepared import Prepared
 from stereomate.block.selected import add_product, selected_inverse
+from stereomate.block.triangular import backward
 from stereomate.block.unknowns import prior_residuals
 from stereomate.errors import NotDeterminedError
 
@@ -213,20 +213,18 @@ def statistics_of(
     n, m, q = len(state.centres), len(prepared.order), len(layout.names)
     inverse, photo_shared, shared = _inverses(prepared, factored)
     points = np.empty((len(state.points), 6))
-    computed, on_point, on_photo = np.full((m, 2), np.nan), np.zeros((m, 2, 3)), np.zeros((m, 2, 6))
+    computed, on_point, on_photo = np.full((m, 2), np.nan), np.zeros((m, 2, 3)), np.zeros((m, 2, 3))
     photo_point = np.zeros((m if cross_blocks else 0, 6, 3))
     cameras = equations.cameras
     kernels.observation_statistics(
         prepared.start, prepared.photo, prepared.xy, prepared.weight, state.points, state.centres,
-        state.rotations, prepared.place, prepared.free_photo, prepared.network.photographs.camera,
-        cameras.model, cameras.packed, cameras.active, cameras.jacobian, layout.first, layout.free,
-        prepared.control, prepared.control_free, width, equations.v_inverse, prepared.skew, inverse,
-        photo_shared, shared, points, computed, on_point, on_photo, photo_point,
+        state.rotations, prepared.place, prepared.network.photographs.camera, cameras.model, cameras.packed,
+        cameras.entries, cameras.derivatives, layout.first, layout.free, prepared.camera_start,
+        prepared.camera_of, width, equations.information, equations.by_border, equations.v_inverse,
+        prepared.skew, inverse, photo_shared, shared, points, computed, on_point, on_photo, photo_point,
     )  # fmt: skip
     photos = np.empty((n, 6, 6))
     kernels.photo_blocks(inverse, prepared.skew, prepared.place, photos)
-    held = prepared.free_photo == 0.0
-    photos[held[:, :, None] | held[:, None, :]] = 0.0
     point_blocks = points[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
     point_blocks[~solution.determined] = np.nan
     by_shared = photo_shared.reshape(n, 6, q)[prepared.place]
@@ -267,7 +265,7 @@ def statistics_of(
         cofactors,
         image,
         motion * np.linalg.norm(on_point[back], axis=2),
-        motion * np.linalg.norm(on_photo[back, :, :3], axis=2),
+        motion * np.linalg.norm(on_photo[back], axis=2),
         control,
         reliability.get("positions"),
         reliability.get("attitudes"),
@@ -278,13 +276,15 @@ def statistics_of(
 def _inverses(prepared: Prepared, factored: Factored) -> tuple[Array, Array, Array]:
     """Covariance of photographs within the band, with the shared unknowns (6 n, q), of these (q, q)."""
     inverse = selected_inverse(factored.factor, prepared.skew)
-    q = factored.half.shape[1]
-    if not q:
+    held = (6 * prepared.place[:, None] + np.arange(6))[prepared.free_photo == 0.0]
+    inverse[held, held * (1 - prepared.skew)] = 0.0
+    if not len(factored.half):
         return inverse, np.zeros((len(inverse), 0)), np.zeros((0, 0))
     root = np.linalg.inv(factored.corner)
     shared = root.T @ root
     solved = factored.half.copy()
-    system.backward(factored.factor, prepared.skew, solved)
+    backward(factored.factor, prepared.skew, solved)
+    solved = np.ascontiguousarray(solved.T)
     product = solved @ shared
     add_product(inverse, prepared.skew, product, solved)
     return inverse, -product, shared

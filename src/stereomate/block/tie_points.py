@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.block.joining import PairPose
+from stereomate.block.photos import BlockPhoto, features_of_photo, is_mirrored
 from stereomate.block.start_pairs import (
     Approximation,
     PairOptions,
@@ -23,17 +23,14 @@ from stereomate.block.start_pairs import (
     pairs_by_first_look,
     select_pairs,
 )
-from stereomate.camera.model import Camera
 from stereomate.errors import ImageError, NotDeterminedError
 from stereomate.measurement.database import MeasurementDatabase, PairRow
-from stereomate.measurement.features import FeatureOptions, Features, grey_image
+from stereomate.measurement.features import FeatureOptions, Features
 from stereomate.measurement.tracks import PairMatches, ThinningOptions, TiePoints, join_matches, thin
-from stereomate.raster import open_photo
 from stereomate.relative.feature_pairs import (
     FEATURE_SIGMA_PX,
     AutomaticOptions,
     FeaturePair,
-    photo_features,
     reduction,
 )
 from stereomate.tiles import Executor, map_items
@@ -64,17 +61,6 @@ class TiePointOptions:
     )
     pairs: PairOptions = field(default_factory=PairOptions)
     thinning: ThinningOptions = field(default_factory=ThinningOptions)
-
-
-@dataclass(frozen=True)
-class BlockPhoto:
-    """A photograph of a block: its number in the database (from 1), file, camera and fingerprint."""
-
-    number: int
-    name: str
-    path: Path
-    camera: Camera
-    digest: str
 
 
 @dataclass(frozen=True)
@@ -111,7 +97,7 @@ def find_features(
 
     def work(photo: BlockPhoto) -> tuple[Features, str]:
         try:
-            return photo_features(grey_of_photo(photo), options.automatic), ""
+            return features_of_photo(photo, options.automatic), ""
         except ImageError as error:
             return nothing, str(error)
 
@@ -316,33 +302,14 @@ class _FeatureCache:
         return found
 
 
-def grey_of_photo(photo: BlockPhoto) -> NDArray[np.uint8]:
-    """Grey values of a whole photograph.
-
-    Raises
-    ------
-    ImageError
-        If it cannot be read or is not of its camera's size.
-    """
-    columns, rows = photo.camera.size_px
-    with open_photo(photo.path) as reader:
-        if reader.info.size != (columns, rows):
-            raise ImageError(
-                f"must have the {columns} x {rows} pixels of camera {photo.camera.name}",
-                file=photo.path,
-                value=f"{reader.info.size[0]} x {reader.info.size[1]}",
-            )
-        reader.require_complete()
-        pixels, _ = reader.read_window(0, 0, columns, rows)
-    return grey_image(pixels)
-
-
 def _features_key(photo: BlockPhoto, options: TiePointOptions) -> str:
     return run_key(
         photo=photo.digest,
         size=photo.camera.size_px,
         side=options.automatic.largest_side_px,
         features=vars(options.automatic.features),
+        mirrored=is_mirrored(photo.camera),
+        frame=None if photo.format_mm is None else [*photo.format_mm, repr(photo.camera.pixel_from_photo)],
     )
 
 

@@ -9,8 +9,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from stereomate.block.kernels import system
 from stereomate.block.network import PIXEL_PARAMETERS, BlockCamera, Network
-from stereomate.camera.kernels import BROWN_INVERSE, LENGTH
+from stereomate.camera.kernels import BROWN_INVERSE
 from stereomate.camera.kernels.layout import R2_MAX
 from stereomate.camera.model import Camera
 from stereomate.camera.packing import pack, pack_parameters
@@ -87,34 +88,33 @@ def camera_from_values(camera: Camera, values: Array) -> Camera:
     moved = camera.with_parameters(values[:-n])
     if not values[-n:].any():
         return moved
-    (a, b, c), (d, e, f) = _affine(camera, values).tolist()
+    (a, b, c), (d, e, f) = (map(float, row) for row in _affine(camera, values))
     return replace(moved, pixel_from_photo=((a, b, c), (d, e, f)))
 
 
 def _affine(camera: Camera, values: Any) -> Any:
+    """`pixel_from_photo` with the aspect and the shear of `values` (n,) or (n, s)."""
     aspect, shear = values[-2:]
-    affine = np.array(camera.pixel_from_photo, dtype=np.asarray(values).dtype)
-    affine[:, :2] = affine[:, :2] @ np.array([[1.0 + aspect, shear], [0.0, 1.0]])
-    return affine
+    return [[a * (1.0 + aspect), a * shear + b, c] for a, b, c in camera.pixel_from_photo]
 
 
 def packed_camera(camera: Camera, values: Array, chosen: Integers) -> tuple[Array, Array]:
     """Parameter array of the kernels (LENGTH,) and its derivatives (LENGTH, chosen), by complex steps."""
-    inner = values[:-2]
+    stepped = np.repeat(values.astype(np.complex128)[:, None], len(chosen) + 1, axis=1)
+    stepped[chosen, np.arange(len(chosen))] += 1e-30j
+    matrix: Any = camera.pixel_from_photo
+    if values[-2:].any() or np.any(chosen >= len(values) - 2):
+        matrix = _affine(camera, stepped)
+    # The last set is the values themselves.
+    by_step = pack_parameters(stepped[:-2], matrix, camera.distortion)
     if camera.jacobian_model == BROWN_INVERSE:
         # The inverse needs its bracket.
         moved = camera_from_values(camera, values)
         packed = np.array(pack(moved.size_px, moved.parameters, moved.pixel_from_photo, moved.distortion)[1])
     else:
-        packed = np.array(pack_parameters(inner, _affine(camera, values), camera.distortion))
+        packed = np.ascontiguousarray(by_step[:, -1].real)
         packed[R2_MAX] = math.inf
-    jacobian = np.empty((LENGTH, len(chosen)))
-    for column, index in enumerate(chosen):
-        stepped = values.astype(np.complex128)
-        stepped[index] += 1e-30j
-        by_step = pack_parameters(stepped[:-2], _affine(camera, stepped), camera.distortion)
-        jacobian[:, column] = np.imag(by_step) / 1e-30
-    return packed, jacobian
+    return packed, by_step[:, :-1].imag / 1e-30
 
 
 def layout_of(network: Network) -> Layout:
@@ -188,9 +188,11 @@ def moved(state: State, layout: Layout, photos: Array, points: Array, shared: Ar
     boresight = state.boresight
     if at >= 0:
         boresight = boresight @ rotation_from_vector(shared[at : at + 3])
+    centres, rotations = state.centres.copy(), state.rotations.copy()
+    system.move(photos, centres, rotations)
     return State(
-        state.centres + photos[:, :3],
-        rotation_from_vector(photos[:, 3:]) @ state.rotations,
+        centres,
+        rotations,
         state.points + points,
         tuple(cameras),
         state.shared + shared,

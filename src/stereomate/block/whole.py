@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.block.equations import build, factor
-from stereomate.block.kernels import system
 from stereomate.block.loop import Solution
+from stereomate.block.triangular import backward, forward
 from stereomate.errors import NotDeterminedError
 
 Array = NDArray[np.float64]
@@ -24,11 +24,12 @@ def full_covariance(solution: Solution) -> Array:
         raise NotDeterminedError("the normal matrix is singular at the solution")
     n6 = len(factored.factor)
     whole = np.eye(n6)
-    system.forward(factored.factor, prepared.skew, whole)
-    system.backward(factored.factor, prepared.skew, whole)
+    forward(factored.factor, prepared.skew, whole)
+    backward(factored.factor, prepared.skew, whole)
     solved = factored.half.copy()
-    system.backward(factored.factor, prepared.skew, solved)
-    root = np.linalg.inv(factored.corner) if factored.half.shape[1] else np.zeros((0, 0))
+    backward(factored.factor, prepared.skew, solved)
+    solved = solved.T
+    root = np.linalg.inv(factored.corner) if len(factored.half) else np.zeros((0, 0))
     shared = root.T @ root
     whole += solved @ shared @ solved.T
     rows = (6 * prepared.place[:, None] + np.arange(6)).ravel()

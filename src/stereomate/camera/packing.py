@@ -91,16 +91,21 @@ def _opencv_into(packed: Any, values: Any) -> None:
     packed[k.T : k.T + 9] = _tilt(taux, tauy)
 
 
-def pack_parameters(vector: Any, affine: Affine2, distortion: Distortion) -> Any:
-    """The parameter array without its inverses and limits; also for complex `vector` (derivatives)."""
+def pack_parameters(vector: Any, affine: Any, distortion: Distortion) -> Any:
+    """The parameter array without its inverses and limits; also for complex `vector` (derivatives).
+
+    `vector` (n,) or (n, s): s sets of parameters give (LENGTH, s); `affine` 2x3, of numbers or of (s,).
+    """
     vector = np.asarray(vector)
-    packed = np.zeros(k.LENGTH, dtype=np.result_type(vector.dtype, np.float64))
+    kind = np.result_type(vector.dtype, np.float64, *(np.asarray(v).dtype for row in affine for v in row))
+    packed = np.zeros((k.LENGTH, *vector.shape[1:]), dtype=kind)
     c, xp, yp = vector[:3]
     xs, ys, values = xp, yp, vector[3:]
     if isinstance(distortion, BrownDistortion) and distortion.symmetry_mm is not None:
         xs, ys, values = vector[3], vector[4], vector[5:]
     packed[k.R0] = 1.0
-    b1 = b2 = 0.0
+    b1: Any = 0.0
+    b2: Any = 0.0
     flip = -1.0
     if isinstance(distortion, BrownDistortion):
         b1, b2 = _brown_into(packed, c, values, distortion)
@@ -112,15 +117,18 @@ def pack_parameters(vector: Any, affine: Affine2, distortion: Distortion) -> Any
     else:
         flip = 1.0
     # Ideal point about the point of symmetry, in the axes of the convention.
-    ideal = np.array([[1.0, 0.0, (xp - xs) / c], [0.0, flip, flip * (yp - ys) / c]])
-    output = np.array([[1.0 + b1, b2], [0.0, 1.0]])
+    e = k.E
+    packed[e], packed[e + 2] = 1.0, (xp - xs) / c
+    packed[e + 4], packed[e + 5] = flip, flip * (yp - ys) / c
+    # The output's affinity [[1 + b1, b2], [0, 1]] goes to the side of the measured point.
     if model_code(distortion) == k.BROWN_INVERSE:
-        ideal = _inverse2(output) @ ideal
-        output = np.eye(2)
-    photo = c * np.array([[1.0, 0.0], [0.0, flip]]) @ output
-    a = np.array(affine)
-    packed[k.E : k.E + 6] = ideal.ravel()
-    packed[k.P : k.P + 6] = np.column_stack([a[:, :2] @ photo, a[:, :2] @ [xs, ys] + a[:, 2]]).ravel()
+        for i in range(3):
+            packed[e + i] = (packed[e + i] - b2 * packed[e + 3 + i]) / (1.0 + b1)
+        b1 = b2 = 0.0
+    for row, (ax, ay, a0) in zip((k.P, k.P + 3), affine, strict=True):
+        packed[row] = ax * (c * (1.0 + b1))
+        packed[row + 1] = ax * (c * b2) + ay * (c * flip)
+        packed[row + 2] = ax * xs + ay * ys + a0
     return packed
 
 
@@ -231,10 +239,6 @@ def pack_jacobian(vector: tuple[float, ...], affine: Affine2, distortion: Distor
 
     By complex steps through the same folding: exact to rounding, no difference is taken.
     """
-    n = len(vector)
-    result = np.empty((k.LENGTH, n))
-    for i in range(n):
-        stepped = np.array(vector, dtype=np.complex128)
-        stepped[i] += 1e-30j
-        result[:, i] = np.imag(pack_parameters(stepped, affine, distortion)) / 1e-30
+    stepped = np.array(vector, dtype=np.complex128)[:, None] + 1e-30j * np.eye(len(vector))
+    result: Array = np.imag(pack_parameters(stepped, affine, distortion)) / 1e-30
     return result

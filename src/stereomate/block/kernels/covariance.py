@@ -1,7 +1,8 @@
 """What needs a part of the inverse: covariances of points, leverages, effects of single observations.
 
-With T = W V⁻¹ of all photographs and cameras of a point and Q their covariance (a part of the inverse of the
-reduced normal matrix): Q_xx = V⁻¹ + Tᵀ Q T, Q_sx = -Q T.
+With U = V⁻¹ N of each observation of a point, s = V⁻¹ B of each unknown of its cameras and m = T (dX0, θ) the
+motion that a photograph gives to the point (`small`): ``dX = V⁻¹ b - Σ U m - Σ s dc``, so that the covariance
+of anything y with the point is ``Q_yx = -Σ Q_ym Uᵀ - Σ Q_yc sᵀ``, and ``Q_xx = V⁻¹ - Σ U Q_mx - Σ s Q_cx``.
 """
 
 from __future__ import annotations
@@ -11,7 +12,8 @@ from numpy.typing import NDArray
 
 from stereomate.block.kernels.normal import loss_factor
 from stereomate.block.kernels.projection import observe
-from stereomate.jit import kernel
+from stereomate.block.kernels.small import symmetric_vector, times_symmetric
+from stereomate.jit import inline_kernel, kernel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -31,10 +33,15 @@ def lower(inverse: Array, skew: int, i: int, j: int) -> float:
 def photo_blocks(inverse: Array, skew: int, place: Indices, out: Array) -> None:
     """6x6 blocks on the diagonal into `out` (n, 6, 6), photographs in their own order."""
     for k in range(place.shape[0]):
-        at = 6 * place[k]
-        for a in range(6):
-            for b in range(a + 1):
-                out[k, a, b] = out[k, b, a] = inverse[at + b, at + a - skew * (at + b)]
+        own_block(inverse, skew, 6 * place[k], out[k])
+
+
+@inline_kernel
+def own_block(inverse: Array, skew: int, at: int, out: Array) -> None:
+    """6x6 block on the diagonal into `out`."""
+    for b in range(6):
+        for a in range(b, 6):
+            out[a, b] = out[b, a] = inverse[at + b, at + a - skew * (at + b)]
 
 
 @kernel
@@ -43,6 +50,245 @@ def pair_block(inverse: Array, skew: int, first: int, second: int, out: Array) -
     for a in range(6):
         for b in range(6):
             out[a, b] = lower(inverse, skew, 6 * first + a, 6 * second + b)
+
+
+@inline_kernel
+def _moved(block: Array, d: Array, e: Array, by_first: Array, by_second: Array, motions: Array) -> None:
+    """Covariances of motions: of two photographs with the 6x6 covariance `block`, that see a point at d, e.
+
+    `by_first` (6, 3): unknowns of the first with the motion by the second; `by_second` (6, 3): unknowns
+    of the second with the motion by the first; `motions` (3, 3): of the two motions.
+    """
+    dx, dy, dz = d[0], d[1], d[2]
+    ex, ey, ez = e[0], e[1], e[2]
+    for r in range(6):
+        b3, b4, b5 = block[r, 3], block[r, 4], block[r, 5]
+        by_first[r, 0] = ey * b5 - ez * b4 - block[r, 0]
+        by_first[r, 1] = ez * b3 - ex * b5 - block[r, 1]
+        by_first[r, 2] = ex * b4 - ey * b3 - block[r, 2]
+    for r in range(6):
+        b3, b4, b5 = block[3, r], block[4, r], block[5, r]
+        by_second[r, 0] = dy * b5 - dz * b4 - block[0, r]
+        by_second[r, 1] = dz * b3 - dx * b5 - block[1, r]
+        by_second[r, 2] = dx * b4 - dy * b3 - block[2, r]
+    for x in range(3):
+        b3, b4, b5 = by_first[3, x], by_first[4, x], by_first[5, x]
+        motions[0, x] = dy * b5 - dz * b4 - by_first[0, x]
+        motions[1, x] = dz * b3 - dx * b5 - by_first[1, x]
+        motions[2, x] = dx * b4 - dy * b3 - by_first[2, x]
+
+
+@inline_kernel
+def _minus(rows: int, left: Array, right: Array, out: Array) -> None:
+    """Subtract ``left rightᵀ`` of (rows, 3) and (3, 3)."""
+    for r in range(rows):
+        a, b, c = left[r, 0], left[r, 1], left[r, 2]
+        out[r, 0] -= a * right[0, 0] + b * right[0, 1] + c * right[0, 2]
+        out[r, 1] -= a * right[1, 0] + b * right[1, 1] + c * right[1, 2]
+        out[r, 2] -= a * right[2, 0] + b * right[2, 1] + c * right[2, 2]
+
+
+@inline_kernel
+def _minus_turned(left: Array, right: Array, out: Array) -> None:
+    """Subtract ``leftᵀ rightᵀ`` of 3x3 matrices."""
+    for r in range(3):
+        a, b, c = left[0, r], left[1, r], left[2, r]
+        out[r, 0] -= a * right[0, 0] + b * right[0, 1] + c * right[0, 2]
+        out[r, 1] -= a * right[1, 0] + b * right[1, 1] + c * right[1, 2]
+        out[r, 2] -= a * right[2, 0] + b * right[2, 1] + c * right[2, 2]
+
+
+@inline_kernel
+def _photos_of_point(
+    rows: int,
+    photo: Indices,
+    place: Indices,
+    d: Array,
+    u: Array,
+    skew: int,
+    inverse: Array,
+    photo_point: Array,
+    motion_point: Array,
+    motion: Array,
+) -> None:
+    """Part of the photographs in what they have to do with the point.
+
+    `photo_point` (rays, 6, 3), of it the first `rows`: unknowns of a photograph with the point;
+    `motion_point` (rays, 3, 3): its motion with the point; `motion` (rays, 3, 3): its motion.
+    """
+    block, by_first, by_second, motions = (
+        np.empty((6, 6)),
+        np.empty((6, 3)),
+        np.empty((6, 3)),
+        np.empty((3, 3)),
+    )
+    for a in range(photo.shape[0]):
+        at = 6 * place[photo[a]]
+        own_block(inverse, skew, at, block)
+        _moved(block, d[a], d[a], by_first, by_second, motion[a])
+        photo_point[a] = 0.0
+        motion_point[a] = 0.0
+        _minus(rows, by_first, u[a], photo_point[a])
+        _minus(3, motion[a], u[a], motion_point[a])
+        for b in range(a):
+            before = 6 * place[photo[b]]
+            for e in range(6):
+                o = at - skew * (before + e)
+                for r in range(6):
+                    block[r, e] = inverse[before + e, o + r]
+            _moved(block, d[a], d[b], by_first, by_second, motions)
+            _minus(rows, by_first, u[b], photo_point[a])
+            _minus(rows, by_second, u[a], photo_point[b])
+            _minus(3, motions, u[b], motion_point[a])
+            _minus_turned(motions, u[a], motion_point[b])
+
+
+@inline_kernel
+def _shared_of_point(
+    rows: int,
+    photo: Indices,
+    place: Indices,
+    d: Array,
+    u: Array,
+    columns: Indices,
+    s: Array,
+    photo_shared: Array,
+    shared: Array,
+    photo_point: Array,
+    motion_point: Array,
+    motion_shared: Array,
+    shared_point: Array,
+) -> None:
+    """Part of the cameras' unknowns (`columns`; `s` (columns, 3)) in what the photographs have to do with it.
+
+    Written: `motion_shared` (rays, columns, 3), `shared_point` (columns, 3).
+    """
+    for f in range(columns.shape[0]):
+        column = columns[f]
+        p0 = p1 = p2 = 0.0
+        for g in range(columns.shape[0]):
+            q = shared[column, columns[g]]
+            p0 -= q * s[g, 0]
+            p1 -= q * s[g, 1]
+            p2 -= q * s[g, 2]
+        for a in range(photo.shape[0]):
+            at = 6 * place[photo[a]]
+            b3, b4, b5 = (
+                photo_shared[at + 3, column],
+                photo_shared[at + 4, column],
+                photo_shared[at + 5, column],
+            )
+            m0 = d[a, 1] * b5 - d[a, 2] * b4 - photo_shared[at, column]
+            m1 = d[a, 2] * b3 - d[a, 0] * b5 - photo_shared[at + 1, column]
+            m2 = d[a, 0] * b4 - d[a, 1] * b3 - photo_shared[at + 2, column]
+            motion_shared[a, f, 0], motion_shared[a, f, 1], motion_shared[a, f, 2] = m0, m1, m2
+            w = u[a]
+            p0 -= w[0, 0] * m0 + w[0, 1] * m1 + w[0, 2] * m2
+            p1 -= w[1, 0] * m0 + w[1, 1] * m1 + w[1, 2] * m2
+            p2 -= w[2, 0] * m0 + w[2, 1] * m1 + w[2, 2] * m2
+            for x in range(3):
+                motion_point[a, 0, x] -= m0 * s[f, x]
+                motion_point[a, 1, x] -= m1 * s[f, x]
+                motion_point[a, 2, x] -= m2 * s[f, x]
+                for r in range(rows):
+                    photo_point[a, r, x] -= photo_shared[at + r, column] * s[f, x]
+        shared_point[f, 0], shared_point[f, 1], shared_point[f, 2] = p0, p1, p2
+
+
+@inline_kernel
+def _point_covariance(
+    rays: int,
+    count: int,
+    v_inverse: Array,
+    u: Array,
+    motion_point: Array,
+    s: Array,
+    shared_point: Array,
+    out: Array,
+) -> None:
+    """``V⁻¹ - Σ U Q_mx - Σ s Q_cx`` into `out` (3, 3)."""
+    w = v_inverse
+    out[0, 0], out[0, 1], out[0, 2] = w[0], w[1], w[2]
+    out[1, 0], out[1, 1], out[1, 2] = w[1], w[3], w[4]
+    out[2, 0], out[2, 1], out[2, 2] = w[2], w[4], w[5]
+    for a in range(rays):
+        for x in range(3):
+            u0, u1, u2 = u[a, x, 0], u[a, x, 1], u[a, x, 2]
+            for y in range(3):
+                out[x, y] -= (
+                    u0 * motion_point[a, 0, y] + u1 * motion_point[a, 1, y] + u2 * motion_point[a, 2, y]
+                )
+    for f in range(count):
+        for x in range(3):
+            for y in range(3):
+                out[x, y] -= s[f, x] * shared_point[f, y]
+
+
+@inline_kernel
+def _of_observation(
+    by_point: Array,
+    by_camera: Array,
+    weight: Array,
+    first: int,
+    free: int,
+    at: int,
+    qx: Array,
+    motion: Array,
+    motion_point: Array,
+    photo_point: Array,
+    own: Array,
+    motion_shared: Array,
+    shared_point: Array,
+    column: int,
+    photo_shared: Array,
+    shared: Array,
+    computed: Array,
+    on_point: Array,
+    on_photo: Array,
+) -> None:
+    """Variance of the two computed coordinates, and what an error of them does to point and centre.
+
+    `own` (6, 3): the photograph's unknowns with its own motion; `column`: where its camera's unknowns stand
+    among those of the point.
+    """
+    for s in range(2):
+        a0, a1, a2 = by_point[s, 0], by_point[s, 1], by_point[s, 2]
+        total = 0.0
+        for x in range(3):
+            # The point, and the centre, with the computed coordinate.
+            to_point = (
+                (qx[x, 0] + motion_point[0, x]) * a0
+                + (qx[x, 1] + motion_point[1, x]) * a1
+                + (qx[x, 2] + motion_point[2, x]) * a2
+            )
+            to_photo = (
+                (photo_point[x, 0] + own[x, 0]) * a0
+                + (photo_point[x, 1] + own[x, 1]) * a1
+                + (photo_point[x, 2] + own[x, 2]) * a2
+            )
+            to_motion = (
+                (motion_point[x, 0] + motion[x, 0]) * a0
+                + (motion_point[x, 1] + motion[x, 1]) * a1
+                + (motion_point[x, 2] + motion[x, 2]) * a2
+            )
+            for f in range(free):
+                j = by_camera[s, f]
+                to_point += shared_point[column + f, x] * j
+                to_photo += photo_shared[at + x, first + f] * j
+                to_motion += motion_shared[column + f, x] * j
+            total += (to_point + to_motion) * by_point[s, x]
+            on_point[s, x] = weight[s] * to_point
+            on_photo[s, x] = weight[s] * to_photo
+        for f in range(free):
+            value = (
+                (shared_point[column + f, 0] + motion_shared[column + f, 0]) * a0
+                + (shared_point[column + f, 1] + motion_shared[column + f, 1]) * a1
+                + (shared_point[column + f, 2] + motion_shared[column + f, 2]) * a2
+            )
+            for g in range(free):
+                value += shared[first + f, first + g] * by_camera[s, g]
+            total += value * by_camera[s, f]
+        computed[s] = total
 
 
 @kernel
@@ -55,17 +301,18 @@ def observation_statistics(
     centres: Array,
     rotations: Array,
     place: Indices,
-    free_photo: Array,
     camera: Indices,
     model: Indices,
     packed: Array,
-    active: Indices,
-    jacobian: Array,
+    entries: Indices,
+    derivatives: Array,
     first: Indices,
     free: Indices,
-    control: Indices,
-    control_free: Array,
+    camera_start: Indices,
+    camera_of: Indices,
     width: float,
+    information: Array,
+    by_border: Array,
     v_inverse: Array,
     skew: int,
     inverse: Array,
@@ -79,244 +326,87 @@ def observation_statistics(
 ) -> None:
     """Statistics of every image observation, and the covariance of every point.
 
-    `inverse` holds the covariance of photographs that share a point (stored as in `normal`),
-    `photo_shared` (6 n, q) and `shared` (q, q) those with the shared unknowns. Written:
+    `inverse` holds the covariance of photographs that share a point (stored as in `normal`, zero for what is
+    held), `photo_shared` (6 n, q) and `shared` (q, q) those with the shared unknowns. Written:
     `point_covariance` (p, 6; xx xy xz yy yz zz), `computed` (m, 2): variance of the computed coordinates,
-    also of observations of weight 0, `on_point` (m, 2, 3) and `on_photo` (m, 2, 6): effect of one pixel
-    of error of the observation on its own point and photograph, `photo_point` (m, 6, 3) or (0, 6, 3):
-    covariance of the two.
+    also of observations of weight 0, `on_point` and `on_photo` (m, 2, 3): effect of one pixel of error
+    of the observation on its own point and projection centre, `photo_point` (m, 6, 3) or (0, 6, 3):
+    covariance of photograph and point.
     """
-    longest = 1
+    longest = most = 1
     for j in range(start.shape[0] - 1):
         longest = max(longest, start[j + 1] - start[j])
-    columns = 0
-    for c in range(free.shape[0]):
-        columns = max(columns, free[c])
-    q = shared.shape[0]
-    j_photo, j_point, j_camera = (
-        np.empty((longest, 2, 6)),
-        np.empty((longest, 2, 3)),
-        np.empty((longest, 2, columns)),
-    )
-    weights = np.empty((longest, 2))
-    t_photo, qt_photo = np.empty((longest, 6, 3)), np.empty((longest, 6, 3))
-    t_shared, qt_shared = np.zeros((q, 3)), np.zeros((q, 3))
-    rows_of, row = np.empty(longest, np.int64), np.empty(longest, np.int64)
-    touched, is_touched = np.empty(free.shape[0], np.int64), np.zeros(free.shape[0], np.bool_)
+        most = max(most, camera_start[j + 1] - camera_start[j])
+    wide = by_border.shape[1]
+    rows = 6 if photo_point.shape[0] > 0 else 3
+    by_point, by_camera = np.empty((longest, 2, 3)), np.empty((longest, 2, wide))
     scratch = np.zeros((2, packed.shape[1]))
-    v, qx = np.empty((3, 3)), np.empty((3, 3))
-    hp, hx = np.empty(6), np.empty(3)
+    d, u, weights = np.empty((longest, 3)), np.empty((longest, 3, 3)), np.empty((longest, 2))
+    mine, row = np.empty(longest, np.int64), np.empty(longest, np.int64)
+    with_point, motion_point = np.empty((longest, 6, 3)), np.empty((longest, 3, 3))
+    motion, motion_shared = np.empty((longest, 3, 3)), np.empty((longest, most * wide, 3))
+    columns, s, shared_point = (
+        np.empty(most * wide, np.int64),
+        np.empty((most * wide, 3)),
+        np.empty((most * wide, 3)),
+    )
+    qx, block = np.empty((3, 3)), np.empty((6, 6))
+    own, other = np.empty((6, 3)), np.empty((6, 3))
+    square = np.empty((3, 3))
     for j in range(start.shape[0] - 1):
-        used = cameras = 0
-        w = v_inverse[j]
-        v[0, 0], v[0, 1], v[0, 2], v[1, 1], v[1, 2], v[2, 2] = w[0], w[1], w[2], w[3], w[4], w[5]
-        v[1, 0], v[2, 0], v[2, 1] = v[0, 1], v[0, 2], v[1, 2]
-        k_control = control[j]
+        v = v_inverse[j]
+        rays = 0
         for i in range(start[j], start[j + 1]):
             k = photo[i]
             c = camera[k]
             column, line, ok = observe(
-                model[c], packed[c], centres[k], rotations[k], points[j], free[c], active, jacobian[c],
-                j_photo[used], j_point[used], j_camera[used], scratch,
+                model[c], packed[c], centres[k], rotations[k], points[j], free[c], entries[c],
+                derivatives[c], by_point[rays], by_camera[rays], scratch,
             )  # fmt: skip
             if not ok:
                 continue
             rx, ry = xy[i, 0] - column, xy[i, 1] - line
             factor, _ = loss_factor(weight[i, 0] * rx * rx + weight[i, 1] * ry * ry, width)
-            wx, wy = weight[i, 0] * factor, weight[i, 1] * factor
-            weights[used, 0], weights[used, 1] = wx, wy
-            for a in range(6):
-                j_photo[used, 0, a] *= free_photo[k, a]
-                j_photo[used, 1, a] *= free_photo[k, a]
-            if k_control >= 0:
-                for a in range(3):
-                    j_point[used, 0, a] *= control_free[k_control, a]
-                    j_point[used, 1, a] *= control_free[k_control, a]
-            rows_of[used], row[used] = 6 * place[k], i
-            for b in range(3):
-                # (w Jx V⁻¹) of both coordinates, then T = Jᵀ of it.
-                ux = wx * (
-                    j_point[used, 0, 0] * v[0, b]
-                    + j_point[used, 0, 1] * v[1, b]
-                    + j_point[used, 0, 2] * v[2, b]
+            weights[rays, 0], weights[rays, 1] = weight[i, 0] * factor, weight[i, 1] * factor
+            mine[rays], row[rays] = k, i
+            for x in range(3):
+                d[rays, x] = points[j, x] - centres[k, x]
+            w = times_symmetric(v, information[i])
+            for x in range(3):
+                for y in range(3):
+                    u[rays, x, y] = w[3 * x + y]
+            rays += 1
+        count = 0
+        for t in range(camera_start[j], camera_start[j + 1]):
+            c = camera_of[t]
+            for f in range(free[c]):
+                columns[count] = first[c] + f
+                s[count, 0], s[count, 1], s[count, 2] = symmetric_vector(
+                    v, by_border[t, f, 0], by_border[t, f, 1], by_border[t, f, 2]
                 )
-                uy = wy * (
-                    j_point[used, 1, 0] * v[0, b]
-                    + j_point[used, 1, 1] * v[1, b]
-                    + j_point[used, 1, 2] * v[2, b]
-                )
-                for a in range(6):
-                    t_photo[used, a, b] = j_photo[used, 0, a] * ux + j_photo[used, 1, a] * uy
-                for a in range(free[c]):
-                    t_shared[first[c] + a, b] += j_camera[used, 0, a] * ux + j_camera[used, 1, a] * uy
-            if free[c] > 0 and not is_touched[c]:
-                is_touched[c] = True
-                touched[cameras] = c
-                cameras += 1
-            used += 1
-        for a in range(used):
-            qt_photo[a] = 0.0
-        for a in range(used):
-            at = rows_of[a]
-            for b in range(a + 1):
-                before = rows_of[b]
-                for e in range(6):
-                    base = inverse[before + e]
-                    shift = at - skew * (before + e)
-                    for d in range(6):
-                        value = (
-                            base[shift + d]
-                            if (a != b or d >= e)
-                            else inverse[at + d, at + e - skew * (at + d)]
-                        )
-                        for x in range(3):
-                            qt_photo[a, d, x] += value * t_photo[b, e, x]
-                        if a != b:
-                            for x in range(3):
-                                qt_photo[b, e, x] += value * t_photo[a, d, x]
-        for t in range(cameras):
-            for f in range(first[touched[t]], first[touched[t]] + free[touched[t]]):
-                qt_shared[f] = 0.0
-        for t in range(cameras):
-            for f in range(first[touched[t]], first[touched[t]] + free[touched[t]]):
-                for a in range(used):
-                    at = rows_of[a]
-                    for d in range(6):
-                        value = photo_shared[at + d, f]
-                        for x in range(3):
-                            qt_photo[a, d, x] += value * t_shared[f, x]
-                            qt_shared[f, x] += value * t_photo[a, d, x]
-                for t2 in range(cameras):
-                    for g in range(first[touched[t2]], first[touched[t2]] + free[touched[t2]]):
-                        for x in range(3):
-                            qt_shared[f, x] += shared[f, g] * t_shared[g, x]
-        qx[:] = v
-        for a in range(used):
-            for d in range(6):
-                for x in range(3):
-                    for y in range(3):
-                        qx[x, y] += t_photo[a, d, x] * qt_photo[a, d, y]
-        for t in range(cameras):
-            for f in range(first[touched[t]], first[touched[t]] + free[touched[t]]):
-                for x in range(3):
-                    for y in range(3):
-                        qx[x, y] += t_shared[f, x] * qt_shared[f, y]
-        if k_control >= 0:
-            for a in range(3):
-                if control_free[k_control, a] == 0.0:
-                    qx[a, :] = 0.0
-                    qx[:, a] = 0.0
+                count += 1
+        _photos_of_point(rows, mine[:rays], place, d, u, skew, inverse, with_point, motion_point, motion)
+        _shared_of_point(
+            rows, mine[:rays], place, d, u, columns[:count], s, photo_shared, shared, with_point,
+            motion_point, motion_shared, shared_point,
+        )  # fmt: skip
+        _point_covariance(rays, count, v, u, motion_point, s, shared_point, qx)
         out = point_covariance[j]
         out[0], out[1], out[2], out[3], out[4], out[5] = (
-            qx[0, 0],
-            qx[0, 1],
-            qx[0, 2],
-            qx[1, 1],
-            qx[1, 2],
-            qx[2, 2],
-        )
-        for a in range(used):
-            at = rows_of[a]
-            c = camera[photo[row[a]]]
-            f0, f1 = first[c], free[c]
-            i = row[a]
-            for s in range(2):
-                # h = Q Jᵀ of this coordinate, over its photograph, point and camera.
-                for d in range(6):
-                    value = 0.0
-                    for e in range(6):
-                        value += lower(inverse, skew, at + d, at + e) * j_photo[a, s, e]
-                    for x in range(3):
-                        value -= qt_photo[a, d, x] * j_point[a, s, x]
-                    for f in range(f1):
-                        value += photo_shared[at + d, f0 + f] * j_camera[a, s, f]
-                    hp[d] = value
-                for x in range(3):
-                    value = 0.0
-                    for e in range(6):
-                        value -= qt_photo[a, e, x] * j_photo[a, s, e]
-                    for y in range(3):
-                        value += qx[x, y] * j_point[a, s, y]
-                    for f in range(f1):
-                        value -= qt_shared[f0 + f, x] * j_camera[a, s, f]
-                    hx[x] = value
-                total = 0.0
-                for f in range(f1):
-                    value = 0.0
-                    for e in range(6):
-                        value += photo_shared[at + e, f0 + f] * j_photo[a, s, e]
-                    for x in range(3):
-                        value -= qt_shared[f0 + f, x] * j_point[a, s, x]
-                    for g in range(f1):
-                        value += shared[f0 + f, f0 + g] * j_camera[a, s, g]
-                    total += value * j_camera[a, s, f]
-                for e in range(6):
-                    total += hp[e] * j_photo[a, s, e]
-                    on_photo[i, s, e] = weights[a, s] * hp[e]
-                for x in range(3):
-                    total += hx[x] * j_point[a, s, x]
-                    on_point[i, s, x] = weights[a, s] * hx[x]
-                computed[i, s] = total
-            if photo_point.shape[0] > 0:
-                for d in range(6):
-                    for x in range(3):
-                        photo_point[i, d, x] = -qt_photo[a, d, x]
-        for t in range(cameras):
-            c = touched[t]
-            is_touched[c] = False
-            t_shared[first[c] : first[c] + free[c]] = 0.0
-
-
-@kernel
-def photos_from_points(
-    start: Indices,
-    photo: Indices,
-    weight: Array,
-    points: Array,
-    centres: Array,
-    rotations: Array,
-    place: Indices,
-    free_photo: Array,
-    camera: Indices,
-    model: Indices,
-    packed: Array,
-    active: Indices,
-    jacobian: Array,
-    first: Indices,
-    free: Indices,
-    control: Indices,
-    control_free: Array,
-    values: Array,
-    out: Array,
-    out_shared: Array,
-) -> None:
-    """Subtract ``W values`` (p, 3): from `out` (6 n,) in the order of the matrix and `out_shared` (q,)."""
-    columns = 0
-    for c in range(free.shape[0]):
-        columns = max(columns, free[c])
-    j_photo, j_point, j_camera = np.empty((2, 6)), np.empty((2, 3)), np.empty((2, columns))
-    scratch = np.zeros((2, packed.shape[1]))
-    for j in range(start.shape[0] - 1):
-        k_control = control[j]
-        for i in range(start[j], start[j + 1]):
-            if weight[i, 0] == 0.0 and weight[i, 1] == 0.0:
-                continue
-            k = photo[i]
+            qx[0, 0], qx[0, 1], qx[0, 2], qx[1, 1], qx[1, 2], qx[2, 2],
+        )  # fmt: skip
+        for a in range(rays):
+            k, i = mine[a], row[a]
             c = camera[k]
-            _, _, ok = observe(
-                model[c], packed[c], centres[k], rotations[k], points[j], free[c], active, jacobian[c],
-                j_photo, j_point, j_camera, scratch,
+            column = 0
+            while free[c] > 0 and columns[column] != first[c]:
+                column += 1
+            own_block(inverse, skew, 6 * place[k], block)
+            _moved(block, d[a], d[a], own, other, square)
+            _of_observation(
+                by_point[a], by_camera[a], weights[a], first[c], free[c], 6 * place[k], qx, motion[a],
+                motion_point[a], with_point[a], own, motion_shared[a], shared_point, column,
+                photo_shared, shared, computed[i], on_point[i], on_photo[i],
             )  # fmt: skip
-            if not ok:
-                continue
-            ex = ey = 0.0
-            for a in range(3):
-                value = values[j, a] * (control_free[k_control, a] if k_control >= 0 else 1.0)
-                ex += j_point[0, a] * value
-                ey += j_point[1, a] * value
-            ex, ey = ex * weight[i, 0], ey * weight[i, 1]
-            at = 6 * place[k]
-            for a in range(6):
-                out[at + a] -= (j_photo[0, a] * ex + j_photo[1, a] * ey) * free_photo[k, a]
-            for a in range(free[c]):
-                out_shared[first[c] + a] -= j_camera[0, a] * ex + j_camera[1, a] * ey
+            if photo_point.shape[0] > 0:
+                photo_point[i] = with_point[a]

@@ -2,7 +2,8 @@
 
 The matrix of the photographs is stored by columns of its lower part: entry (i, j), i >= j, is
 ``band[j, i - j]`` in band form and ``band[j, i]`` in dense form; `skew` is 1 or 0 accordingly. LAPACK reads
-both as they lie. The unknowns of cameras are a border of `q` rows.
+both as they lie. The unknowns of cameras are a border of `q` rows. What an observation adds is written with
+its information N about the point and the motion T of the photograph: see `small`.
 """
 
 from __future__ import annotations
@@ -13,40 +14,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.block.kernels.projection import observe
-from stereomate.jit import kernel
+from stereomate.block.kernels.small import (
+    Nine,
+    columns_cross,
+    general_symmetric,
+    invert_symmetric,
+    rows_cross,
+    seen_at,
+    symmetric_vector,
+    times_symmetric,
+)
+from stereomate.jit import inline_kernel, kernel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 
-@kernel
-def invert_symmetric(v: Array, out: Array) -> bool:
-    """Inverse of a symmetric positive definite 3x3 matrix; False (and zeros) if it is singular."""
-    a, b, c, d, e, f = v[0, 0], v[0, 1], v[0, 2], v[1, 1], v[1, 2], v[2, 2]
-    # Scaled to a unit diagonal, so that the threshold does not depend on units.
-    if not (a > 0.0 and d > 0.0 and f > 0.0):
-        out[:] = 0.0
-        return False
-    sa, sd, sf = 1.0 / math.sqrt(a), 1.0 / math.sqrt(d), 1.0 / math.sqrt(f)
-    b, c, e = b * sa * sd, c * sa * sf, e * sd * sf
-    m00, m01, m02 = 1.0 - e * e, c * e - b, b * e - c
-    determinant = m00 + b * m01 + c * m02
-    if not determinant > 1e-14:
-        out[:] = 0.0
-        return False
-    w = 1.0 / determinant
-    out[0, 0], out[1, 1], out[2, 2] = (
-        m00 * w * sa * sa,
-        (1.0 - c * c) * w * sd * sd,
-        (1.0 - b * b) * w * sf * sf,
-    )
-    out[0, 1] = out[1, 0] = m01 * w * sa * sd
-    out[0, 2] = out[2, 0] = m02 * w * sa * sf
-    out[1, 2] = out[2, 1] = (b * c - e) * w * sd * sf
-    return True
-
-
-@kernel
+@inline_kernel
 def loss_factor(square: float, width: float) -> tuple[float, float]:
     """Huber: (weight factor, loss) of an observation whose squared normalised residual is `square`."""
     if square <= width * width:
@@ -65,14 +50,15 @@ def build(
     centres: Array,
     rotations: Array,
     place: Indices,
-    free_photo: Array,
     camera: Indices,
     model: Indices,
     packed: Array,
-    active: Indices,
-    jacobian: Array,
+    entries: Indices,
+    derivatives: Array,
     first: Indices,
     free: Indices,
+    camera_start: Indices,
+    camera_of: Indices,
     control: Indices,
     control_xyz: Array,
     control_weight: Array,
@@ -87,19 +73,24 @@ def build(
     right_border: Array,
     diagonal: Array,
     diagonal_border: Array,
+    information: Array,
+    by_border: Array,
     v_inverse: Array,
     v_right: Array,
+    solvable: Flags,
 ) -> tuple[float, float, int, int]:
     """Reduced normal equations at a state.
 
     Observations are sorted by point (`start`) and within a point by ``place[photo]``. `weight` (m, 2): 0
-    takes an observation out. Cameras: unknowns of camera c are border columns ``first[c]`` to ``first[c]
-    + free[c]``, `jacobian` (c, n_active, q) as `projection.pixel_of` needs it. `control` (p) is the row
-    of a point in `control_xyz` (k, 3), `control_weight` (k, 3, 3) and `control_free` (k, 3), or -1.
-    `free_photo` (n, 6) and `control_free` are 0 for what is held fixed, else 1. `width`: of Huber's loss,
-    infinite for none.
+    takes an observation out. Cameras: unknowns of camera c are border rows ``first[c]`` to ``first[c]
+    + free[c]``, `entries` (c, k, 2) and `derivatives` (c, k) as `projection.pixel_of` needs them; those that
+    see point j are ``camera_of[camera_start[j] : camera_start[j + 1]]``. `control` (p) is the row
+    of a point in `control_xyz` (k, 3), `control_weight` (k, 3, 3) and `control_free` (k, 3; 0 for what is
+    held), or -1. `width`: of Huber's loss, infinite for none.
 
-    Everything written is added to; `diagonal` and `diagonal_border` are the diagonals before elimination.
+    Added to: `band`, `border` (q, 6 n), `corner`, `right`, `right_border`, `diagonal` and `diagonal_border`
+    (before elimination). Written: `information` (m, 6), `by_border` (cameras of points, columns, 3):
+    camera unknowns with the point; `v_inverse` (p, 6), `v_right` (p, 3), `solvable` (p).
 
     Returns
     -------
@@ -107,214 +98,450 @@ def build(
         Weighted sum of squares (or losses) of image points and control; the part of its decrease that the
         points alone promise; observations that cannot be computed; points without a solution.
     """
-    q = border.shape[0]
     longest = 1
     for j in range(start.shape[0] - 1):
         longest = max(longest, start[j + 1] - start[j])
-    columns = 0
-    for c in range(free.shape[0]):
-        columns = max(columns, free[c])
-    j_photo, j_point, j_camera = np.empty((2, 6)), np.empty((2, 3)), np.empty((2, columns))
+    columns = by_border.shape[1]
+    by_point, by_camera = np.empty((2, 3)), np.empty((2, columns))
     scratch = np.zeros((2, packed.shape[1]))
-    # W of each photograph of the point and W V⁻¹, transposed so that the innermost loop runs along memory.
-    w_all, wv_all = np.empty((longest, 3, 6)), np.empty((longest, 3, 6))
-    w_border, wv_border = np.zeros((q, 3)), np.zeros((q, 3))
-    rows_of = np.empty(longest, np.int64)
-    touched, is_touched = np.empty(free.shape[0], np.int64), np.zeros(free.shape[0], np.bool_)
-    v, vi, b = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    # Camera unknowns with the point, of each observation, and of each camera times V⁻¹.
+    single, solved = np.empty((longest, columns, 3)), np.empty((free.shape[0], columns, 3))
+    v, b = np.empty(6), np.empty(3)
     cost = promised = 0.0
     failed = undetermined = 0
     for j in range(start.shape[0] - 1):
         v[:] = 0.0
         b[:] = 0.0
-        used = cameras = 0
+        low, high = camera_start[j], camera_start[j + 1]
+        by_border[low:high] = 0.0
         k_control = control[j]
+        used = 0
         for i in range(start[j], start[j + 1]):
+            information[i] = 0.0
             wx, wy = weight[i, 0], weight[i, 1]
             if wx == 0.0 and wy == 0.0:
                 continue
             k = photo[i]
             c = camera[k]
             column, line, ok = observe(
-                model[c], packed[c], centres[k], rotations[k], points[j], free[c], active, jacobian[c],
-                j_photo, j_point, j_camera, scratch,
+                model[c], packed[c], centres[k], rotations[k], points[j], free[c], entries[c],
+                derivatives[c], by_point, by_camera, scratch,
             )  # fmt: skip
             if not ok:
                 failed += 1
                 continue
+            used += 1
             rx, ry = xy[i, 0] - column, xy[i, 1] - line
             factor, loss = loss_factor(wx * rx * rx + wy * ry * ry, width)
             cost += loss
-            wx, wy = wx * factor, wy * factor
-            at = place[k] * 6
-            for a in range(6):
-                j_photo[0, a] *= free_photo[k, a]
-                j_photo[1, a] *= free_photo[k, a]
-            if k_control >= 0:
-                for a in range(3):
-                    j_point[0, a] *= control_free[k_control, a]
-                    j_point[1, a] *= control_free[k_control, a]
-            # Photograph with itself.
-            for a in range(6):
-                jx, jy = wx * j_photo[0, a], wy * j_photo[1, a]
-                right[at + a] += jx * rx + jy * ry
-                base = at + a
-                shift = at - skew * base
-                for d in range(a, 6):
-                    band[base, shift + d] += jx * j_photo[0, d] + jy * j_photo[1, d]
-                diagonal[base] += jx * j_photo[0, a] + jy * j_photo[1, a]
-            # Point with itself and with the photograph.
-            for a in range(3):
-                jx, jy = wx * j_point[0, a], wy * j_point[1, a]
-                b[a] += jx * rx + jy * ry
-                for d in range(3):
-                    v[a, d] += jx * j_point[0, d] + jy * j_point[1, d]
-                for d in range(6):
-                    w_all[used, a, d] = jx * j_photo[0, d] + jy * j_photo[1, d]
-            rows_of[used] = at
-            used += 1
-            # Camera with itself, with the photograph and with the point.
-            f0 = first[c]
-            if free[c] > 0 and not is_touched[c]:
-                is_touched[c] = True
-                touched[cameras] = c
-                cameras += 1
-            for a in range(free[c]):
-                jx, jy = wx * j_camera[0, a], wy * j_camera[1, a]
-                right_border[f0 + a] += jx * rx + jy * ry
-                diagonal_border[f0 + a] += jx * j_camera[0, a] + jy * j_camera[1, a]
-                for d in range(free[c]):
-                    corner[f0 + a, f0 + d] += jx * j_camera[0, d] + jy * j_camera[1, d]
-                for d in range(6):
-                    border[f0 + a, at + d] += jx * j_photo[0, d] + jy * j_photo[1, d]
-                for d in range(3):
-                    w_border[f0 + a, d] += jx * j_point[0, d] + jy * j_point[1, d]
+            _about_point(by_point, wx * factor, wy * factor, rx, ry, information[i], v, b)
+            dx, dy, dz = (
+                points[j, 0] - centres[k, 0],
+                points[j, 1] - centres[k, 1],
+                points[j, 2] - centres[k, 2],
+            )
+            _to_photo(by_point, wx * factor, wy * factor, rx, ry, dx, dy, dz, 6 * place[k], right)
+            if free[c] > 0:
+                at = low
+                while camera_of[at] != c:
+                    at += 1
+                _to_camera(
+                    by_point, by_camera, wx * factor, wy * factor, rx, ry, first[c], free[c], corner,
+                    right_border, diagonal_border, single[i - start[j]], by_border[at],
+                )  # fmt: skip
         if k_control >= 0:
-            for a in range(3):
-                for d in range(3):
-                    g = (
-                        control_weight[k_control, a, d]
-                        * control_free[k_control, a]
-                        * control_free[k_control, d]
-                    )
-                    v[a, d] += g
-                    difference = control_xyz[k_control, d] - points[j, d]
-                    b[a] += g * difference
-                    cost += g * difference * (control_xyz[k_control, a] - points[j, a])
-                if control_free[k_control, a] == 0.0:
-                    v[a, a] += 1.0
-        if damping > 0.0:
-            for a in range(3):
-                v[a, a] *= 1.0 + damping
-        solvable = (used > 0 or k_control >= 0) and invert_symmetric(v, vi)
-        if not solvable:
-            vi[:] = 0.0
+            cost += _to_control(
+                control_xyz[k_control], control_weight[k_control], control_free[k_control], points[j], v, b
+            )
+        for a in (0, 3, 5):
+            v[a] *= 1.0 + damping
+        solvable[j] = (used > 0 or k_control >= 0) and invert_symmetric(
+            v[0], v[1], v[2], v[3], v[4], v[5], v_inverse[j]
+        )
+        if not solvable[j]:
+            v_inverse[j] = 0.0
             undetermined += 1
-        v_inverse[j, 0], v_inverse[j, 1], v_inverse[j, 2] = vi[0, 0], vi[0, 1], vi[0, 2]
-        v_inverse[j, 3], v_inverse[j, 4], v_inverse[j, 5] = vi[1, 1], vi[1, 2], vi[2, 2]
-        y0 = vi[0, 0] * b[0] + vi[0, 1] * b[1] + vi[0, 2] * b[2]
-        y1 = vi[0, 1] * b[0] + vi[1, 1] * b[1] + vi[1, 2] * b[2]
-        y2 = vi[0, 2] * b[0] + vi[1, 2] * b[1] + vi[2, 2] * b[2]
-        v_right[j, 0], v_right[j, 1], v_right[j, 2] = b[0], b[1], b[2]
+        elif k_control >= 0:
+            _hold(control_free[k_control], v_inverse[j])
+        v_right[j] = b
+        y0, y1, y2 = symmetric_vector(v_inverse[j], b[0], b[1], b[2])
         promised += b[0] * y0 + b[1] * y1 + b[2] * y2
-        # Elimination.
-        for a in range(used):
-            at = rows_of[a]
-            for d in range(6):
-                w0, w1, w2 = w_all[a, 0, d], w_all[a, 1, d], w_all[a, 2, d]
-                wv_all[a, 0, d] = w0 * vi[0, 0] + w1 * vi[0, 1] + w2 * vi[0, 2]
-                wv_all[a, 1, d] = w0 * vi[0, 1] + w1 * vi[1, 1] + w2 * vi[1, 2]
-                wv_all[a, 2, d] = w0 * vi[0, 2] + w1 * vi[1, 2] + w2 * vi[2, 2]
-                right[at + d] -= w0 * y0 + w1 * y1 + w2 * y2
-            # In registers: what the compiler knows not to be changed by the stores below.
-            v00 = wv_all[a, 0, 0]
-            v01 = wv_all[a, 0, 1]
-            v02 = wv_all[a, 0, 2]
-            v03 = wv_all[a, 0, 3]
-            v04 = wv_all[a, 0, 4]
-            v05 = wv_all[a, 0, 5]
-            v10 = wv_all[a, 1, 0]
-            v11 = wv_all[a, 1, 1]
-            v12 = wv_all[a, 1, 2]
-            v13 = wv_all[a, 1, 3]
-            v14 = wv_all[a, 1, 4]
-            v15 = wv_all[a, 1, 5]
-            v20 = wv_all[a, 2, 0]
-            v21 = wv_all[a, 2, 1]
-            v22 = wv_all[a, 2, 2]
-            v23 = wv_all[a, 2, 3]
-            v24 = wv_all[a, 2, 4]
-            v25 = wv_all[a, 2, 5]
-            for other in range(a):
-                before = rows_of[other]
-                for e in range(6):
-                    w0, w1, w2 = w_all[other, 0, e], w_all[other, 1, e], w_all[other, 2, e]
-                    row = before + e
-                    at_row = at - skew * row
-                    band[row, at_row] -= v00 * w0 + v10 * w1 + v20 * w2
-                    band[row, at_row + 1] -= v01 * w0 + v11 * w1 + v21 * w2
-                    band[row, at_row + 2] -= v02 * w0 + v12 * w1 + v22 * w2
-                    band[row, at_row + 3] -= v03 * w0 + v13 * w1 + v23 * w2
-                    band[row, at_row + 4] -= v04 * w0 + v14 * w1 + v24 * w2
-                    band[row, at_row + 5] -= v05 * w0 + v15 * w1 + v25 * w2
-            for e in range(6):
-                w0, w1, w2 = w_all[a, 0, e], w_all[a, 1, e], w_all[a, 2, e]
-                target = band[at + e]
-                shift = at - skew * (at + e)
-                for d in range(e, 6):
-                    target[shift + d] -= wv_all[a, 0, d] * w0 + wv_all[a, 1, d] * w1 + wv_all[a, 2, d] * w2
-        for t in range(cameras):
-            c = touched[t]
-            for f in range(first[c], first[c] + free[c]):
-                w0, w1, w2 = w_border[f, 0], w_border[f, 1], w_border[f, 2]
-                right_border[f] -= w0 * y0 + w1 * y1 + w2 * y2
-                for a in range(used):
-                    at = rows_of[a]
-                    for d in range(6):
-                        border[f, at + d] -= (
-                            wv_all[a, 0, d] * w0 + wv_all[a, 1, d] * w1 + wv_all[a, 2, d] * w2
-                        )
-                wv_border[f, 0] = w0 * vi[0, 0] + w1 * vi[0, 1] + w2 * vi[0, 2]
-                wv_border[f, 1] = w0 * vi[0, 1] + w1 * vi[1, 1] + w2 * vi[1, 2]
-                wv_border[f, 2] = w0 * vi[0, 2] + w1 * vi[1, 2] + w2 * vi[2, 2]
-        for t in range(cameras):
-            c = touched[t]
-            for f in range(first[c], first[c] + free[c]):
-                for t2 in range(cameras):
-                    c2 = touched[t2]
-                    for g2 in range(first[c2], first[c2] + free[c2]):
-                        corner[f, g2] -= (
-                            wv_border[f, 0] * w_border[g2, 0]
-                            + wv_border[f, 1] * w_border[g2, 1]
-                            + wv_border[f, 2] * w_border[g2, 2]
-                        )
-        for t in range(cameras):
-            c = touched[t]
-            is_touched[c] = False
-            w_border[first[c] : first[c] + free[c]] = 0.0
+        _eliminate_cameras(
+            v_inverse[j], y0, y1, y2, camera_of[low:high], first, free, by_border[low:high], solved, corner,
+            right_border,
+        )  # fmt: skip
+        _eliminate_photos(
+            start[j], start[j + 1], photo, points[j], centres, place, camera, v_inverse[j], y0, y1, y2,
+            information, skew, band, right, diagonal,
+        )  # fmt: skip
+        if columns > 0:
+            _border(
+                start[j], start[j + 1], photo, points[j], centres, place, camera, camera_of[low:high], first,
+                free, information, single, solved, border,
+            )  # fmt: skip
     return cost, promised, failed, undetermined
+
+
+@inline_kernel
+def _about_point(a: Array, wx: float, wy: float, rx: float, ry: float, n: Array, v: Array, b: Array) -> None:
+    """Information of an observation about its point into `n`, and added to `v` and `b`."""
+    x0, x1, x2, y0, y1, y2 = a[0, 0], a[0, 1], a[0, 2], a[1, 0], a[1, 1], a[1, 2]
+    px0, px1, px2, py0, py1, py2 = wx * x0, wx * x1, wx * x2, wy * y0, wy * y1, wy * y2
+    n0, n1, n2 = px0 * x0 + py0 * y0, px0 * x1 + py0 * y1, px0 * x2 + py0 * y2
+    n3, n4, n5 = px1 * x1 + py1 * y1, px1 * x2 + py1 * y2, px2 * x2 + py2 * y2
+    n[0], n[1], n[2], n[3], n[4], n[5] = n0, n1, n2, n3, n4, n5
+    v[0] += n0
+    v[1] += n1
+    v[2] += n2
+    v[3] += n3
+    v[4] += n4
+    v[5] += n5
+    b[0] += px0 * rx + py0 * ry
+    b[1] += px1 * rx + py1 * ry
+    b[2] += px2 * rx + py2 * ry
+
+
+@inline_kernel
+def _to_photo(
+    a: Array,
+    wx: float,
+    wy: float,
+    rx: float,
+    ry: float,
+    dx: float,
+    dy: float,
+    dz: float,
+    at: int,
+    right: Array,
+) -> None:
+    """Right side of the photograph: ``Tᵀ Aᵀ P r``."""
+    rx, ry = wx * rx, wy * ry
+    g0 = a[0, 0] * rx + a[1, 0] * ry
+    g1 = a[0, 1] * rx + a[1, 1] * ry
+    g2 = a[0, 2] * rx + a[1, 2] * ry
+    right[at] -= g0
+    right[at + 1] -= g1
+    right[at + 2] -= g2
+    right[at + 3] += g1 * dz - g2 * dy
+    right[at + 4] += g2 * dx - g0 * dz
+    right[at + 5] += g0 * dy - g1 * dx
+
+
+@inline_kernel
+def _to_camera(
+    a: Array,
+    by_camera: Array,
+    wx: float,
+    wy: float,
+    rx: float,
+    ry: float,
+    first: int,
+    free: int,
+    corner: Array,
+    right_border: Array,
+    diagonal_border: Array,
+    single: Array,
+    total: Array,
+) -> None:
+    """Camera unknowns with themselves, and with the point: into `single` and added to `total`."""
+    for f in range(free):
+        jx, jy = wx * by_camera[0, f], wy * by_camera[1, f]
+        right_border[first + f] += jx * rx + jy * ry
+        diagonal_border[first + f] += jx * by_camera[0, f] + jy * by_camera[1, f]
+        for g in range(f + 1):
+            corner[first + f, first + g] += jx * by_camera[0, g] + jy * by_camera[1, g]
+        for x in range(3):
+            value = jx * a[0, x] + jy * a[1, x]
+            single[f, x] = value
+            total[f, x] += value
+
+
+@inline_kernel
+def _to_control(xyz: Array, weight: Array, free: Array, point: Array, v: Array, b: Array) -> float:
+    """Add a control point to the information about its point; its cost. Held axes stand alone."""
+    cost = 0.0
+    at = 0
+    for a in range(3):
+        for d in range(3):
+            g = weight[a, d] * free[a] * free[d]
+            difference = xyz[d] - point[d]
+            b[a] += g * difference
+            cost += g * difference * (xyz[a] - point[a])
+            if d >= a:
+                v[at] = v[at] * free[a] * free[d] + g
+                if d == a and free[a] == 0.0:
+                    v[at] = 1.0
+                at += 1
+    for a in range(3):
+        b[a] *= free[a]
+    return cost
+
+
+@inline_kernel
+def _hold(free: Array, v_inverse: Array) -> None:
+    """Nothing moves along axes that control holds."""
+    at = 0
+    for a in range(3):
+        for d in range(a, 3):
+            v_inverse[at] *= free[a] * free[d]
+            at += 1
+
+
+@inline_kernel
+def _eliminate_cameras(
+    v_inverse: Array,
+    y0: float,
+    y1: float,
+    y2: float,
+    cameras: Indices,
+    first: Indices,
+    free: Indices,
+    by_border: Array,
+    solved: Array,
+    corner: Array,
+    right_border: Array,
+) -> None:
+    """Take a point out of the unknowns of its cameras; `solved`: these with the point, times V⁻¹."""
+    for t in range(cameras.shape[0]):
+        c = cameras[t]
+        for f in range(free[c]):
+            w0, w1, w2 = by_border[t, f, 0], by_border[t, f, 1], by_border[t, f, 2]
+            row = first[c] + f
+            right_border[row] -= w0 * y0 + w1 * y1 + w2 * y2
+            s0, s1, s2 = symmetric_vector(v_inverse, w0, w1, w2)
+            solved[t, f, 0], solved[t, f, 1], solved[t, f, 2] = s0, s1, s2
+            for t2 in range(t + 1):
+                c2 = cameras[t2]
+                for g in range(f + 1 if t2 == t else free[c2]):
+                    corner[row, first[c2] + g] -= (
+                        s0 * by_border[t2, g, 0] + s1 * by_border[t2, g, 1] + s2 * by_border[t2, g, 2]
+                    )
+
+
+@inline_kernel
+def _eliminate_photos(
+    low: int,
+    high: int,
+    photo: Indices,
+    point: Array,
+    centres: Array,
+    place: Indices,
+    camera: Indices,
+    v_inverse: Array,
+    y0: float,
+    y1: float,
+    y2: float,
+    information: Array,
+    skew: int,
+    band: Array,
+    right: Array,
+    diagonal: Array,
+) -> None:
+    """Add the photographs of a point with themselves and take the point out of all of them."""
+    for i in range(low, high):
+        n = information[i]
+        if n[0] + n[3] + n[5] == 0.0:
+            continue
+        k = photo[i]
+        at = 6 * place[k]
+        dx, dy, dz = seen_at(point, centres[k])
+        g0, g1, g2 = symmetric_vector(n, y0, y1, y2)
+        right[at] += g0
+        right[at + 1] += g1
+        right[at + 2] += g2
+        right[at + 3] -= g1 * dz - g2 * dy
+        right[at + 4] -= g2 * dx - g0 * dz
+        right[at + 5] -= g0 * dy - g1 * dx
+        u = times_symmetric(n, v_inverse)
+        # Itself: N - N V⁻¹ N.
+        c = general_symmetric(u, n)
+        own = (n[0] - c[0], n[1] - c[1], n[2] - c[2], n[1] - c[3], n[3] - c[4], n[4] - c[5],
+               n[2] - c[6], n[4] - c[7], n[5] - c[8])  # fmt: skip
+        e = rows_cross(own, dx, dy, dz)
+        h = columns_cross(e, dx, dy, dz)
+        _add_own(own, e, h, at, skew, band)
+        direct = (n[0], n[1], n[2], n[1], n[3], n[4], n[2], n[4], n[5])
+        turned = columns_cross(rows_cross(direct, dx, dy, dz), dx, dy, dz)
+        diagonal[at] += n[0]
+        diagonal[at + 1] += n[3]
+        diagonal[at + 2] += n[5]
+        diagonal[at + 3] += turned[0]
+        diagonal[at + 4] += turned[4]
+        diagonal[at + 5] += turned[8]
+        for i2 in range(low, i):
+            n2 = information[i2]
+            if n2[0] + n2[3] + n2[5] == 0.0:
+                continue
+            k2 = photo[i2]
+            c = general_symmetric(u, n2)
+            x, y, z = seen_at(point, centres[k2])
+            e = rows_cross(c, x, y, z)
+            _subtract(
+                c,
+                e,
+                columns_cross(c, dx, dy, dz),
+                columns_cross(e, dx, dy, dz),
+                at,
+                6 * place[k2],
+                skew,
+                band,
+            )
+
+
+@inline_kernel
+def _add_own(c: Nine, e: Nine, h: Nine, at: int, skew: int, band: Array) -> None:
+    """Tᵀ C T of one photograph, lower part: [[C, -E], [-Eᵀ, H]], E = C K, H = Kᵀ E."""
+    o = at - skew * at
+    band[at, o] += c[0]
+    band[at, o + 1] += c[3]
+    band[at, o + 2] += c[6]
+    band[at, o + 3] -= e[0]
+    band[at, o + 4] -= e[1]
+    band[at, o + 5] -= e[2]
+    o -= skew
+    band[at + 1, o + 1] += c[4]
+    band[at + 1, o + 2] += c[7]
+    band[at + 1, o + 3] -= e[3]
+    band[at + 1, o + 4] -= e[4]
+    band[at + 1, o + 5] -= e[5]
+    o -= skew
+    band[at + 2, o + 2] += c[8]
+    band[at + 2, o + 3] -= e[6]
+    band[at + 2, o + 4] -= e[7]
+    band[at + 2, o + 5] -= e[8]
+    o -= skew
+    band[at + 3, o + 3] += h[0]
+    band[at + 3, o + 4] += h[3]
+    band[at + 3, o + 5] += h[6]
+    o -= skew
+    band[at + 4, o + 4] += h[4]
+    band[at + 4, o + 5] += h[7]
+    o -= skew
+    band[at + 5, o + 5] += h[8]
+
+
+@inline_kernel
+def _subtract(c: Nine, e: Nine, g: Nine, h: Nine, at: int, before: int, skew: int, band: Array) -> None:
+    """Tᵀ C T₂ of two photographs: [[C, -E], [-G, H]], E = C K₂, G = Kᵀ C, H = Kᵀ C K₂."""
+    o = at - skew * before
+    band[before, o] -= c[0]
+    band[before, o + 1] -= c[3]
+    band[before, o + 2] -= c[6]
+    band[before, o + 3] += g[0]
+    band[before, o + 4] += g[3]
+    band[before, o + 5] += g[6]
+    o -= skew
+    band[before + 1, o] -= c[1]
+    band[before + 1, o + 1] -= c[4]
+    band[before + 1, o + 2] -= c[7]
+    band[before + 1, o + 3] += g[1]
+    band[before + 1, o + 4] += g[4]
+    band[before + 1, o + 5] += g[7]
+    o -= skew
+    band[before + 2, o] -= c[2]
+    band[before + 2, o + 1] -= c[5]
+    band[before + 2, o + 2] -= c[8]
+    band[before + 2, o + 3] += g[2]
+    band[before + 2, o + 4] += g[5]
+    band[before + 2, o + 5] += g[8]
+    o -= skew
+    band[before + 3, o] += e[0]
+    band[before + 3, o + 1] += e[3]
+    band[before + 3, o + 2] += e[6]
+    band[before + 3, o + 3] -= h[0]
+    band[before + 3, o + 4] -= h[3]
+    band[before + 3, o + 5] -= h[6]
+    o -= skew
+    band[before + 4, o] += e[1]
+    band[before + 4, o + 1] += e[4]
+    band[before + 4, o + 2] += e[7]
+    band[before + 4, o + 3] -= h[1]
+    band[before + 4, o + 4] -= h[4]
+    band[before + 4, o + 5] -= h[7]
+    o -= skew
+    band[before + 5, o] += e[2]
+    band[before + 5, o + 1] += e[5]
+    band[before + 5, o + 2] += e[8]
+    band[before + 5, o + 3] -= h[2]
+    band[before + 5, o + 4] -= h[5]
+    band[before + 5, o + 5] -= h[8]
+
+
+@inline_kernel
+def _border(
+    low: int,
+    high: int,
+    photo: Indices,
+    point: Array,
+    centres: Array,
+    place: Indices,
+    camera: Indices,
+    cameras: Indices,
+    first: Indices,
+    free: Indices,
+    information: Array,
+    single: Array,
+    solved: Array,
+    border: Array,
+) -> None:
+    """Camera unknowns with the photographs of a point: ``(B - B_point V⁻¹ N) T``."""
+    for i in range(low, high):
+        n = information[i]
+        if n[0] + n[3] + n[5] == 0.0:
+            continue
+        k = photo[i]
+        at = 6 * place[k]
+        dx, dy, dz = seen_at(point, centres[k])
+        for t in range(cameras.shape[0]):
+            c = cameras[t]
+            own = c == camera[k]
+            for f in range(free[c]):
+                g0, g1, g2 = symmetric_vector(n, solved[t, f, 0], solved[t, f, 1], solved[t, f, 2])
+                if own:
+                    s = single[i - low, f]
+                    g0, g1, g2 = g0 - s[0], g1 - s[1], g2 - s[2]
+                row = border[first[c] + f]
+                row[at] += g0
+                row[at + 1] += g1
+                row[at + 2] += g2
+                row[at + 3] -= g1 * dz - g2 * dy
+                row[at + 4] -= g2 * dx - g0 * dz
+                row[at + 5] -= g0 * dy - g1 * dx
+
+
+@kernel
+def hold(
+    free_photo: Array, place: Indices, skew: int, band: Array, border: Array, right: Array, diagonal: Array
+) -> None:
+    """Let unknowns of photographs that are held stand alone."""
+    n = right.shape[0]
+    reach = band.shape[1]
+    for k in range(free_photo.shape[0]):
+        for a in range(6):
+            if free_photo[k, a] != 0.0:
+                continue
+            at = 6 * place[k] + a
+            for i in range(at + 1, min(n, at + reach) if skew == 1 else n):
+                band[at, i - skew * at] = 0.0
+            for j in range(max(0, at - reach + 1) if skew == 1 else 0, at):
+                band[j, at - skew * j] = 0.0
+            border[:, at] = 0.0
+            right[at] = 0.0
+            band[at, at - skew * at] = diagonal[at] = 1.0
 
 
 @kernel
 def correct_points(
     start: Indices,
     photo: Indices,
-    xy: Array,
-    weight: Array,
     points: Array,
     centres: Array,
-    rotations: Array,
-    free_photo: Array,
-    camera: Indices,
-    model: Indices,
-    packed: Array,
-    active: Indices,
-    jacobian: Array,
+    camera_start: Indices,
+    camera_of: Indices,
     first: Indices,
     free: Indices,
-    control: Indices,
-    control_free: Array,
-    width: float,
+    information: Array,
+    by_border: Array,
     v_inverse: Array,
     v_right: Array,
     step: Array,
@@ -323,48 +550,73 @@ def correct_points(
 ) -> None:
     """Corrections of the points ``V⁻¹ (b - Wᵀ step)`` into `out` (p, 3).
 
-    `step` (n, 6) in the order of the photographs, `step_border` (q,). The derivatives are computed once more:
-    that takes less than to write them to memory and to read them back.
+    `step` (n, 6) in the order of the photographs, `step_border` (q,).
     """
-    columns = 0
-    for c in range(free.shape[0]):
-        columns = max(columns, free[c])
-    j_photo, j_point, j_camera = np.empty((2, 6)), np.empty((2, 3)), np.empty((2, columns))
-    scratch = np.zeros((2, packed.shape[1]))
     for j in range(start.shape[0] - 1):
         b0, b1, b2 = v_right[j, 0], v_right[j, 1], v_right[j, 2]
-        k_control = control[j]
         for i in range(start[j], start[j + 1]):
-            wx, wy = weight[i, 0], weight[i, 1]
-            if wx == 0.0 and wy == 0.0:
-                continue
             k = photo[i]
-            c = camera[k]
-            column, line, ok = observe(
-                model[c], packed[c], centres[k], rotations[k], points[j], free[c], active, jacobian[c],
-                j_photo, j_point, j_camera, scratch,
-            )  # fmt: skip
-            if not ok:
-                continue
-            rx, ry = xy[i, 0] - column, xy[i, 1] - line
-            factor, _ = loss_factor(wx * rx * rx + wy * ry * ry, width)
-            ex = ey = 0.0
-            for a in range(6):
-                moved = step[k, a] * free_photo[k, a]
-                ex += j_photo[0, a] * moved
-                ey += j_photo[1, a] * moved
-            for a in range(free[c]):
-                ex += j_camera[0, a] * step_border[first[c] + a]
-                ey += j_camera[1, a] * step_border[first[c] + a]
-            ex, ey = ex * wx * factor, ey * wy * factor
-            if k_control >= 0:
-                for a in range(3):
-                    j_point[0, a] *= control_free[k_control, a]
-                    j_point[1, a] *= control_free[k_control, a]
-            b0 -= j_point[0, 0] * ex + j_point[1, 0] * ey
-            b1 -= j_point[0, 1] * ex + j_point[1, 1] * ey
-            b2 -= j_point[0, 2] * ex + j_point[1, 2] * ey
-        w = v_inverse[j]
-        out[j, 0] = w[0] * b0 + w[1] * b1 + w[2] * b2
-        out[j, 1] = w[1] * b0 + w[3] * b1 + w[4] * b2
-        out[j, 2] = w[2] * b0 + w[4] * b1 + w[5] * b2
+            dx, dy, dz = (
+                points[j, 0] - centres[k, 0],
+                points[j, 1] - centres[k, 1],
+                points[j, 2] - centres[k, 2],
+            )
+            tx, ty, tz = step[k, 3], step[k, 4], step[k, 5]
+            e0, e1, e2 = symmetric_vector(
+                information[i],
+                dy * tz - dz * ty - step[k, 0],
+                dz * tx - dx * tz - step[k, 1],
+                dx * ty - dy * tx - step[k, 2],
+            )
+            b0, b1, b2 = b0 - e0, b1 - e1, b2 - e2
+        for t in range(camera_start[j], camera_start[j + 1]):
+            c = camera_of[t]
+            for f in range(free[c]):
+                moved = step_border[first[c] + f]
+                b0 -= by_border[t, f, 0] * moved
+                b1 -= by_border[t, f, 1] * moved
+                b2 -= by_border[t, f, 2] * moved
+        out[j, 0], out[j, 1], out[j, 2] = symmetric_vector(v_inverse[j], b0, b1, b2)
+
+
+@kernel
+def photos_from_points(
+    start: Indices,
+    photo: Indices,
+    points: Array,
+    centres: Array,
+    place: Indices,
+    camera_start: Indices,
+    camera_of: Indices,
+    first: Indices,
+    free: Indices,
+    information: Array,
+    by_border: Array,
+    values: Array,
+    out: Array,
+    out_shared: Array,
+) -> None:
+    """Subtract ``W values`` (p, 3): from `out` (6 n,) in the order of the matrix and `out_shared` (q,)."""
+    for j in range(start.shape[0] - 1):
+        x, y, z = values[j, 0], values[j, 1], values[j, 2]
+        for i in range(start[j], start[j + 1]):
+            k = photo[i]
+            at = 6 * place[k]
+            dx, dy, dz = (
+                points[j, 0] - centres[k, 0],
+                points[j, 1] - centres[k, 1],
+                points[j, 2] - centres[k, 2],
+            )
+            g0, g1, g2 = symmetric_vector(information[i], x, y, z)
+            out[at] += g0
+            out[at + 1] += g1
+            out[at + 2] += g2
+            out[at + 3] -= g1 * dz - g2 * dy
+            out[at + 4] -= g2 * dx - g0 * dz
+            out[at + 5] -= g0 * dy - g1 * dx
+        for t in range(camera_start[j], camera_start[j + 1]):
+            c = camera_of[t]
+            for f in range(free[c]):
+                out_shared[first[c] + f] -= (
+                    by_border[t, f, 0] * x + by_border[t, f, 1] * y + by_border[t, f, 2] * z
+                )

@@ -1,7 +1,7 @@
-"""One image observation: computed pixel and its derivatives by photograph, point and camera.
+"""One image observation: computed pixel and its derivatives by the point and the camera.
 
 With d = X - X0 and p = Rᵀ d, and R perturbed on the left (R -> exp(θ) R): dp/dX = Rᵀ, dp/dX0 = -Rᵀ,
-dp/dθ = Rᵀ [d]x. With A = (d pixel / d p) Rᵀ a row a of A gives (-a, a x d) for the photograph.
+dp/dθ = Rᵀ [d]x. With A = (d pixel / d p) Rᵀ a row a of A gives (-a, a x d) for the photograph: see `small`.
 """
 
 from __future__ import annotations
@@ -23,13 +23,68 @@ from stereomate.camera.kernels.layout import (
     E,
     P,
 )
-from stereomate.jit import kernel
+from stereomate.jit import inline_kernel, kernel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
-@kernel
+@inline_kernel
+def by_unknowns(free: int, entries: Indices, derivatives: Array, scratch: Array, out: Array) -> None:
+    """Chain rule from the entries of the parameter array, in `scratch`, to the unknowns: `out` (2, free)."""
+    for j in range(free):
+        out[0, j] = out[1, j] = 0.0
+    for t in range(entries.shape[0]):
+        entry, j = entries[t, 0], entries[t, 1]
+        if entry < 0:
+            break
+        out[0, j] += scratch[0, entry] * derivatives[t]
+        out[1, j] += scratch[1, entry] * derivatives[t]
+
+
+@inline_kernel
+def _by_entries(
+    model: int,
+    p: Array,
+    u: float,
+    v: float,
+    a: float,
+    b: float,
+    mx: float,
+    my: float,
+    g00: float,
+    g01: float,
+    g10: float,
+    g11: float,
+    scratch: Array,
+) -> None:
+    """Derivatives of the pixel by the entries of the parameter array that Brown's model has.
+
+    (u, v) ideal, (a, b) reduced to the point of symmetry, (mx, my) measured; g: pixel by (a, b).
+    """
+    s, xy = a * a + b * b, 2.0 * a * b
+    scratch[0, P], scratch[0, P + 1], scratch[0, P + 2] = mx, my, 1.0
+    scratch[1, P + 3], scratch[1, P + 4], scratch[1, P + 5] = mx, my, 1.0
+    if model == PINHOLE:
+        return
+    scratch[0, E], scratch[0, E + 1], scratch[0, E + 2] = g00 * u, g00 * v, g00
+    scratch[1, E], scratch[1, E + 1], scratch[1, E + 2] = g10 * u, g10 * v, g10
+    scratch[0, E + 3], scratch[0, E + 4], scratch[0, E + 5] = g01 * u, g01 * v, g01
+    scratch[1, E + 3], scratch[1, E + 4], scratch[1, E + 5] = g11 * u, g11 * v, g11
+    cx, cy = p[P] * a + p[P + 1] * b, p[P + 3] * a + p[P + 4] * b
+    power = 1.0
+    for i in range(5):  # R0, K1 .. K4 lie behind each other
+        scratch[0, R0 + i], scratch[1, R0 + i] = cx * power, cy * power
+        power *= s
+    scratch[0, B1], scratch[1, B1] = p[P] * a, p[P + 3] * a
+    scratch[0, B2], scratch[1, B2] = p[P] * b, p[P + 3] * b
+    dx, dy = s + 2.0 * a * a, xy
+    scratch[0, P1], scratch[1, P1] = p[P] * dx + p[P + 1] * dy, p[P + 3] * dx + p[P + 4] * dy
+    dx, dy = xy, s + 2.0 * b * b
+    scratch[0, P2], scratch[1, P2] = p[P] * dx + p[P + 1] * dy, p[P + 3] * dx + p[P + 4] * dy
+
+
+@inline_kernel
 def pixel_of(
     model: int,
     p: Array,
@@ -38,16 +93,16 @@ def pixel_of(
     z: float,
     d_point: Array,
     free: int,
-    active: Indices,
-    jacobian: Array,
+    entries: Indices,
+    derivatives: Array,
     d_camera: Array,
     scratch: Array,
 ) -> tuple[float, float, bool]:
     """Pixel of a camera-frame point: (column, row, ok); writes `d_point` (2, 3) and `d_camera` (2, free).
 
-    `jacobian` (n_active, free) takes the derivatives by the entries `active` of the parameter array to the
-    unknowns of the camera; `scratch` (2, LENGTH). The pixel array does not limit, nor where the
-    distortion begins to fold, unless the model cannot be computed there.
+    `entries` (k, 2): an entry of the parameter array and an unknown of the camera that moves it, with
+    `derivatives` (k,); an entry of -1 ends the list. `scratch` (2, LENGTH). The pixel array does not
+    limit, nor where the distortion begins to fold, unless the model cannot be computed there.
     """
     if not z < 0.0:
         return 0.0, 0.0, False
@@ -55,12 +110,7 @@ def pixel_of(
         column, row, _ = image_jacobian_point(model, p, x, y, z, d_point, scratch)
         if not (np.isfinite(column) and np.isfinite(row)):
             return 0.0, 0.0, False
-        for j in range(free):
-            a = b = 0.0
-            for i in range(active.shape[0]):
-                a += scratch[0, active[i]] * jacobian[i, j]
-                b += scratch[1, active[i]] * jacobian[i, j]
-            d_camera[0, j], d_camera[1, j] = a, b
+        by_unknowns(free, entries, derivatives, scratch, d_camera)
         return column, row, True
     w = -1.0 / z
     u, v = x * w, y * w
@@ -83,39 +133,14 @@ def pixel_of(
     d_point[0, 0], d_point[0, 1], d_point[0, 2] = e00 * w, e01 * w, (e00 * u + e01 * v) * w
     d_point[1, 0], d_point[1, 1], d_point[1, 2] = e10 * w, e11 * w, (e10 * u + e11 * v) * w
     if free > 0:
-        # By the entries of the parameter array, in scratch.
-        s, xy = a * a + b * b, 2.0 * a * b
-        scratch[0, P], scratch[0, P + 1], scratch[0, P + 2] = mx, my, 1.0
-        scratch[1, P + 3], scratch[1, P + 4], scratch[1, P + 5] = mx, my, 1.0
-        if model == BROWN:
-            scratch[0, E], scratch[0, E + 1], scratch[0, E + 2] = g00 * u, g00 * v, g00
-            scratch[1, E], scratch[1, E + 1], scratch[1, E + 2] = g10 * u, g10 * v, g10
-            scratch[0, E + 3], scratch[0, E + 4], scratch[0, E + 5] = g01 * u, g01 * v, g01
-            scratch[1, E + 3], scratch[1, E + 4], scratch[1, E + 5] = g11 * u, g11 * v, g11
-            cx, cy = p[P] * a + p[P + 1] * b, p[P + 3] * a + p[P + 4] * b
-            power = 1.0
-            for i in range(5):  # R0, K1 .. K4 lie behind each other
-                scratch[0, R0 + i], scratch[1, R0 + i] = cx * power, cy * power
-                power *= s
-            scratch[0, B1], scratch[1, B1] = p[P] * a, p[P + 3] * a
-            scratch[0, B2], scratch[1, B2] = p[P] * b, p[P + 3] * b
-            dx, dy = s + 2.0 * a * a, xy
-            scratch[0, P1], scratch[1, P1] = p[P] * dx + p[P + 1] * dy, p[P + 3] * dx + p[P + 4] * dy
-            dx, dy = xy, s + 2.0 * b * b
-            scratch[0, P2], scratch[1, P2] = p[P] * dx + p[P + 1] * dy, p[P + 3] * dx + p[P + 4] * dy
-        for j in range(free):
-            d_camera[0, j] = d_camera[1, j] = 0.0
-        for i in range(active.shape[0]):
-            cx, cy = scratch[0, active[i]], scratch[1, active[i]]
-            for j in range(free):
-                d_camera[0, j] += cx * jacobian[i, j]
-                d_camera[1, j] += cy * jacobian[i, j]
+        _by_entries(model, p, u, v, a, b, mx, my, g00, g01, g10, g11, scratch)
+        by_unknowns(free, entries, derivatives, scratch, d_camera)
     column = p[P] * mx + p[P + 1] * my + p[P + 2]
     row = p[P + 3] * mx + p[P + 4] * my + p[P + 5]
     return column, row, True
 
 
-@kernel
+@inline_kernel
 def observe(
     model: int,
     p: Array,
@@ -123,31 +148,25 @@ def observe(
     rotation: Array,
     point: Array,
     free: int,
-    active: Indices,
-    jacobian: Array,
-    j_photo: Array,
-    j_point: Array,
-    j_camera: Array,
+    entries: Indices,
+    derivatives: Array,
+    by_point: Array,
+    by_camera: Array,
     scratch: Array,
 ) -> tuple[float, float, bool]:
-    """Computed pixel of an object point with its derivatives by photograph (2, 6), point (2, 3), camera."""
+    """Computed pixel of an object point with its derivatives by the point (2, 3) and the camera (2, free)."""
     dx, dy, dz = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
     x = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
     y = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
     z = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
-    column, row, ok = pixel_of(model, p, x, y, z, j_point, free, active, jacobian, j_camera, scratch)
+    column, row, ok = pixel_of(model, p, x, y, z, by_point, free, entries, derivatives, by_camera, scratch)
     if not ok:
         return column, row, False
     for i in range(2):
-        a, b, c = j_point[i, 0], j_point[i, 1], j_point[i, 2]
-        a0 = a * rotation[0, 0] + b * rotation[0, 1] + c * rotation[0, 2]
-        a1 = a * rotation[1, 0] + b * rotation[1, 1] + c * rotation[1, 2]
-        a2 = a * rotation[2, 0] + b * rotation[2, 1] + c * rotation[2, 2]
-        j_point[i, 0], j_point[i, 1], j_point[i, 2] = a0, a1, a2
-        j_photo[i, 0], j_photo[i, 1], j_photo[i, 2] = -a0, -a1, -a2
-        j_photo[i, 3] = a1 * dz - a2 * dy
-        j_photo[i, 4] = a2 * dx - a0 * dz
-        j_photo[i, 5] = a0 * dy - a1 * dx
+        a, b, c = by_point[i, 0], by_point[i, 1], by_point[i, 2]
+        by_point[i, 0] = a * rotation[0, 0] + b * rotation[0, 1] + c * rotation[0, 2]
+        by_point[i, 1] = a * rotation[1, 0] + b * rotation[1, 1] + c * rotation[1, 2]
+        by_point[i, 2] = a * rotation[2, 0] + b * rotation[2, 1] + c * rotation[2, 2]
     return column, row, True
 
 
@@ -165,16 +184,16 @@ def residuals(
     out: Array,
 ) -> int:
     """Observed minus computed pixels into `out` (m, 2); NaN where nothing can be computed. Counts those."""
-    none, jacobian = np.empty(0, np.int64), np.empty((0, 0))
-    j_photo, j_point, j_camera = np.empty((2, 6)), np.empty((2, 3)), np.empty((2, 0))
+    entries, derivatives = np.empty((0, 2), np.int64), np.empty(0)
+    by_point, by_camera = np.empty((2, 3)), np.empty((2, 0))
     scratch = np.zeros((2, packed.shape[1]))
     failed = 0
     for i in range(photo.shape[0]):
         k = photo[i]
         c = camera[k]
         column, row, ok = observe(
-            model[c], packed[c], centres[k], rotations[k], points[point[i]], 0, none, jacobian,
-            j_photo, j_point, j_camera, scratch,
+            model[c], packed[c], centres[k], rotations[k], points[point[i]], 0, entries, derivatives,
+            by_point, by_camera, scratch,
         )  # fmt: skip
         if ok:
             out[i, 0], out[i, 1] = xy[i, 0] - column, xy[i, 1] - row

@@ -1,6 +1,8 @@
-"""The system of photographs and its border: observations of single photographs, triangular solutions."""
+"""The system of photographs and its border: observations of single photographs; photographs moved."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +22,6 @@ def add_group(
     columns: Indices,
     by_shared: Array,
     place: Indices,
-    free_photo: Array,
     skew: int,
     band: Array,
     border: Array,
@@ -42,14 +43,14 @@ def add_group(
                 continue
             cost += w * r * r
             for a in range(6):
-                ja = w * by_photo[g, i, a] * free_photo[k, a]
+                ja = w * by_photo[g, i, a]
                 if ja == 0.0:
                     continue
                 right[at + a] += ja * r
                 diagonal[at + a] += ja * by_photo[g, i, a]
                 shift = at - skew * (at + a)
                 for b in range(a, 6):
-                    band[at + a, shift + b] += ja * by_photo[g, i, b] * free_photo[k, b]
+                    band[at + a, shift + b] += ja * by_photo[g, i, b]
                 for b in range(s):
                     if columns[g, b] >= 0:
                         border[columns[g, b], at + a] += ja * by_shared[g, i, b]
@@ -67,31 +68,27 @@ def add_group(
 
 
 @kernel
-def forward(factor: Array, skew: int, values: Array) -> None:
-    """``L⁻¹ values`` in place; `values` (n, s), the factor stored like the matrix."""
-    n, width = factor.shape
-    for j in range(n):
-        column = factor[j]
-        shift = j - skew * j
-        inverse = 1.0 / column[shift]
-        for s in range(values.shape[1]):
-            values[j, s] *= inverse
-        for i in range(j + 1, min(n, j + width) if skew == 1 else n):
-            f = column[i - skew * j]
-            for s in range(values.shape[1]):
-                values[i, s] -= f * values[j, s]
-
-
-@kernel
-def backward(factor: Array, skew: int, values: Array) -> None:
-    """``L⁻ᵀ values`` in place; `values` (n, s)."""
-    n, width = factor.shape
-    for j in range(n - 1, -1, -1):
-        column = factor[j]
-        for i in range(j + 1, min(n, j + width) if skew == 1 else n):
-            f = column[i - skew * j]
-            for s in range(values.shape[1]):
-                values[j, s] -= f * values[i, s]
-        inverse = 1.0 / column[j - skew * j]
-        for s in range(values.shape[1]):
-            values[j, s] *= inverse
+def move(step: Array, centres: Array, rotations: Array) -> None:
+    """Corrections of photographs (n, 6) applied in place; rotations turn from the left (Rodrigues)."""
+    r = np.empty((3, 3))
+    for k in range(step.shape[0]):
+        for x in range(3):
+            centres[k, x] += step[k, x]
+        tx, ty, tz = step[k, 3], step[k, 4], step[k, 5]
+        square = tx * tx + ty * ty + tz * tz
+        angle = math.sqrt(square)
+        first, second = 1.0 - square / 6.0, 0.5 - square / 24.0
+        if angle > 1e-4:
+            first, second = math.sin(angle) / angle, (1.0 - math.cos(angle)) / square
+        xx, yy, zz = second * tx * tx, second * ty * ty, second * tz * tz
+        xy, xz, yz = second * tx * ty, second * tx * tz, second * ty * tz
+        x, y, z = first * tx, first * ty, first * tz
+        turn = (
+            (1.0 - yy - zz, xy - z, xz + y),
+            (xy + z, 1.0 - xx - zz, yz - x),
+            (xz - y, yz + x, 1.0 - xx - yy),
+        )
+        r[:] = rotations[k]
+        for a in range(3):
+            for b in range(3):
+                rotations[k, a, b] = turn[a][0] * r[0, b] + turn[a][1] * r[1, b] + turn[a][2] * r[2, b]

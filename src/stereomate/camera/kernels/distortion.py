@@ -33,7 +33,7 @@ from stereomate.camera.kernels.layout import (
     Six,
     T,
 )
-from stereomate.jit import kernel
+from stereomate.jit import inline_kernel, kernel
 
 
 @kernel
@@ -48,7 +48,7 @@ def brown(p: Array, x: float, y: float) -> tuple[float, float]:
     )
 
 
-@kernel
+@inline_kernel
 def brown_derivatives(p: Array, x: float, y: float) -> Six:
     """D of Brown's model and its derivative: (x', y', dx'/dx, dx'/dy, dy'/dx, dy'/dy)."""
     s = x * x + y * y
