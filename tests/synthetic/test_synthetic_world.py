@@ -11,8 +11,8 @@ from stereomate.errors import CrsError, InputError
 from stereomate.frames.factors import grid_factors
 from stereomate.frames.heights import HeightSystem
 from stereomate.frames.mapframe import MapFrame
+from stereomate.synthetic.making import make_world
 from stereomate.synthetic.options import SurveyOptions
-from stereomate.synthetic.world import make_world
 from stereomate.terrain.model import HeightModel
 
 

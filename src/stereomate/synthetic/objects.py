@@ -147,3 +147,12 @@ def object_arrays(
     near_first, _ = cell_lists(boxes + np.array([-reach, -reach, reach, reach]), cell, shape)
     near = (np.diff(near_first) > 0).astype(np.uint8).reshape(shape)
     return Objects(buildings, trees, tallest, cell, first, items, top.reshape(shape), near)
+
+
+def is_open(objects: Objects, local: Array) -> NDArray[np.bool_]:
+    """Whether local positions (..., 2) lie away from objects and the places they may hide or shade."""
+    rows, cols = objects.near.shape
+    col = np.clip(np.floor(local[..., 0] / objects.cell).astype(int), 0, cols - 1)
+    row = np.clip(np.floor(-local[..., 1] / objects.cell).astype(int), 0, rows - 1)
+    open_here: NDArray[np.bool_] = objects.near[row, col] == 0
+    return open_here

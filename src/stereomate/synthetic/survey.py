@@ -12,9 +12,11 @@ from stereomate.camera.model import Camera
 from stereomate.coverage.survey import Photograph, Survey
 from stereomate.frames.orientation import ExteriorOrientation
 from stereomate.geometry.rotations import rotation_from_opk
+from stereomate.synthetic.extent import LIMIT_OF_TILT
+from stereomate.synthetic.making import make_world
 from stereomate.synthetic.options import SurveyOptions
 from stereomate.synthetic.render import render_photograph
-from stereomate.synthetic.world import LIMIT_OF_TILT, SyntheticWorld, make_world
+from stereomate.synthetic.world import SyntheticWorld
 from stereomate.tiles.executor import Executor
 
 Array = NDArray[np.float64]
