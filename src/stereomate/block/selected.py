@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
+from scipy.linalg.blas import dsymm
 from scipy.linalg.lapack import dpotri, dtrtri, dtrtrs
 
 Array = NDArray[np.float64]
@@ -42,8 +43,9 @@ def selected_inverse(factor: Array, skew: int) -> Array:
         return np.ascontiguousarray(inverse.T)
     n, width = factor.shape
     inverse = np.zeros_like(factor)
-    block = min(n, max(_BLOCK, width // 6))
+    block = min(n, max(_BLOCK, width // 4))
     first = ((n - 1) // block) * block
+    space = np.empty(width * width)
     while first >= 0:
         size = min(block, n - first)
         below = min(n - first - size, width - 1)
@@ -55,9 +57,10 @@ def selected_inverse(factor: Array, skew: int) -> Array:
         corner = root @ root.T
         if below:
             y, _ = dtrtrs(upper, part[:, size:], lower=0)
-            window = np.triu(_rows(inverse, first + size, below, below))
-            window += np.triu(window, 1).T
-            target[:, size:] = -(y @ window)
+            # Only the upper triangle is right, and only that is read.
+            window = space[: below * below].reshape(below, below)
+            window[:] = _rows(inverse, first + size, below, below)
+            target[:, size:] = dsymm(-1.0, window.T, y, side=1, lower=1)
             corner -= target[:, size:] @ y.T
         target[:, :size] = corner
         np.copyto(_rows(inverse, first, size, size + below), target, where=inside)
