@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import concurrent.futures
 import contextlib
+import dataclasses
 import http.client
 import io
 import json
 import re
 import shutil
+import threading
 import urllib.error
 import urllib.request
 import zlib
@@ -22,10 +24,16 @@ from PIL import Image
 from stereomate.errors import FormatError, InputError
 from stereomate.frames.transform import map_from_map, tangent_from_map
 from stereomate.raster import open_photo
+from stereomate.raster.cog import Georeference, assemble_cog, encode_chunk
+from stereomate.stereo.matched_surface import surface_profile
 from stereomate.stereo.product import StereoProduct
+from stereomate.stereo.surface_bands import ABOVE, BANDS, JUMP, ORTHO_TAG, SIGMA
+from stereomate.tiles.plan import TilePlan
 from stereomate.viewer.binary import decode_floats, encode_floats
 from stereomate.viewer.imagery import Stretch, stretch_of
+from stereomate.viewer.kept import KeptFiles
 from stereomate.viewer.lattice import measuring_lattice
+from stereomate.viewer.objects import object_heights
 from stereomate.viewer.points import read_points
 from stereomate.viewer.publish import is_site, publish
 from stereomate.viewer.server import PublishedFolder
@@ -51,6 +59,77 @@ def test_static_site_equals_the_served_one(published, site, address):
             served, given = raw_get(address, "/" + name), raw_get(static, "/" + name)
             assert served[0] == 200
             assert served == given, name
+
+
+def test_heights_of_objects_are_a_layer(run_folder, product, tmp_path):
+    """Those of this product's own surface only; the version of the files follows it."""
+    folder = tmp_path / "out"
+    shutil.copytree(run_folder, folder)
+    copied = dataclasses.replace(product, folder=folder)
+    before = Site([copied])
+    assert "data/0/objects.bin" not in set(before.names())
+    cols, rows = product.job.grid.size
+    step = 3
+    size = (-(-cols // step), -(-rows // step))
+    row, col = np.mgrid[0 : size[1], 0 : size[0]]
+    values = np.full((size[1], size[0], len(BANDS)), np.nan, np.float32)
+    values[..., ABOVE] = np.where((row + col) % 7 == 0, 0.01 * row + 0.1 * col, np.nan)
+    values[..., SIGMA], values[..., JUMP] = 0.25, (col > 5) * 1.0
+    path = folder / "surface.tif"
+    write_surface_file(product, path, values, step)
+    site = Site([copied])
+    assert "data/0/objects.bin" in set(site.names())
+    versions = [json.loads(s.read("data/0/product.json"))["version"] for s in (before, site)]
+    assert versions[0] != versions[1]
+    above, sigma = decode_floats(site.read("data/0/objects.bin")).reshape(2, rows, cols)
+    # a product this small has layers of its own pixels: each cell of the surface covers step x step of them
+    for c, r in ((0, 7), (7, 0), (4, 10), (20, 15)):
+        assert above[r * step + 1, c * step + 1] == pytest.approx(values[r, c, ABOVE], abs=1e-4)
+        assert np.isnan(sigma[r * step + 1, c * step + 1]) == (c > 5)
+    assert np.isnan(above[1, step + 1])
+    for made in (before, site):
+        made.close()
+    # the surface of other products is passed over where it lies, and refused where it is named
+    write_surface_file(product, path, values, step, ortho="0" * 64)
+    stale = Site([copied])
+    assert "data/0/objects.bin" not in set(stale.names())
+    with pytest.raises(FormatError, match="made anew since"):
+        Site([copied], SiteOptions(surface=path))
+
+
+def test_the_highest_object_of_a_cell_counts(product, tmp_path, monkeypatch):
+    monkeypatch.setattr("stereomate.viewer.layers.LONGEST", 40)
+    cols, rows = product.job.grid.size
+    rng = np.random.default_rng(1)
+    values = np.full((rows, cols, len(BANDS)), 0.0, np.float32)
+    values[..., ABOVE] = np.where(rng.random((rows, cols)) < 0.5, rng.uniform(-3, 30, (rows, cols)), np.nan)
+    values[..., SIGMA] = values[..., ABOVE] + 100.0
+    path = tmp_path / "surface.tif"
+    write_surface_file(product, path, values, 1)
+    above, sigma = object_heights(product, path)
+    step = -(-max(cols, rows) // 40)
+    assert above.shape == (-(-rows // step), -(-cols // step))
+    for r, c in ((0, 0), (3, 5), (above.shape[0] - 1, above.shape[1] - 1)):
+        block = values[r * step : (r + 1) * step, c * step : (c + 1) * step, ABOVE]
+        assert above[r, c] == np.nanmax(block)
+        assert sigma[r, c] == pytest.approx(above[r, c] + 100.0)
+
+
+def write_surface_file(product, path, values, step, ortho=None):
+    """A surface as `stereomate heights` writes it, of given values."""
+    grid, plan = product.job.grid, TilePlan((values.shape[1], values.shape[0]), 512, 2)
+    (chunk,) = plan.chunks
+    blob = encode_chunk(surface_profile(), plan, values)
+
+    class Blob:
+        def read(self, index, name, offset, size):
+            assert index == chunk.index
+            return blob[offset : offset + size]
+
+    a, b, x, d, e, y = grid.affine
+    tags = {ORTHO_TAG: ortho or product.files.hashes["ortho.tif"]}
+    place = Georeference(product.job.frame.crs, (a * step, b * step, x, d * step, e * step, y), tags)
+    assemble_cog(path, surface_profile(), plan, Blob(), "surface", place)
 
 
 def test_published_twice_and_never_over_other_things(published, site, tmp_path):
@@ -108,6 +187,35 @@ def test_nothing_from_outside(address, published):
                 status, content = raw_get(place, path)
                 assert status == 404, (place, path)
                 assert b"secret" not in content
+
+
+def test_files_are_made_once_for_all_who_ask():
+    """Of twenty that ask at once one makes; errors are kept by nobody; what is old goes."""
+    made, gate = [], threading.Event()
+
+    def make(name):
+        made.append(name)
+        gate.wait(5.0)
+        if name == "bad":
+            raise KeyError(name)
+        return name.encode() * 10
+
+    kept = KeptFiles(capacity=800)
+    with concurrent.futures.ThreadPoolExecutor(20) as pool:
+        answers = [pool.submit(kept.get, "a", make) for _ in range(20)]
+        gate.set()
+        assert {answer.result() for answer in answers} == {b"a" * 10}
+    assert made == ["a"]
+    for _ in range(2):
+        with pytest.raises(KeyError):
+            kept.get("bad", make)
+    assert made == ["a", "bad", "bad"]
+    for k in range(100):
+        kept.get(f"{k:02d}", make)
+    made.clear()
+    kept.get("99", make)
+    kept.get("a", make)
+    assert made == ["a"]
 
 
 def test_links_out_of_the_folder_are_refused(published, run_folder, tmp_path):

@@ -128,7 +128,8 @@ def _surface(
     from stereomate.raster.thumbnail import read_thumbnail
     from stereomate.report.overcorrection_style import save_figure
     from stereomate.report.stereo_surface import draw_heights
-    from stereomate.stereo.matched_surface import ABOVE, SIGMA, write_surface
+    from stereomate.stereo.matched_surface import write_surface
+    from stereomate.stereo.surface_bands import ABOVE, SIGMA
 
     summary = write_surface(
         product,

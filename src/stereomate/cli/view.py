@@ -49,7 +49,7 @@ def _view(
     """See a stereo-orthophoto in the browser and measure in it. Ctrl-C ends it."""
     from stereomate.viewer.publish import is_site
     from stereomate.viewer.server import PublishedFolder, serve
-    from stereomate.viewer.site import SiteOptions
+    from stereomate.viewer.site import KeptSite, SiteOptions
 
     settings: Settings = context.obj
 
@@ -76,6 +76,6 @@ def _view(
     site = open_site(product, name, options, verify)
     try:
         site.prepare()
-        serve(site, port, ready)
+        serve(KeptSite(site), port, ready)
     finally:
         site.close()

@@ -15,6 +15,7 @@ from rasterio.enums import Resampling
 from stereomate.errors import InputError
 from stereomate.raster.handles import Handles, gdal_window, reading
 from stereomate.raster.info import RasterInfo, info_of
+from stereomate.raster.kernels import interleave
 from stereomate.raster.windows import Window
 
 
@@ -93,7 +94,9 @@ class PyramidReader:
                 window=place, out_shape=(self.info.bands, *shape), resampling=self._resampling
             )
             mask = handle.dataset_mask(window=place, out_shape=shape, resampling=Resampling.nearest)
-        return np.ascontiguousarray(np.moveaxis(bands, 0, -1)), np.asarray(mask != 0), window
+        pixels = np.empty((*shape, self.info.bands), bands.dtype)
+        interleave(bands, pixels)
+        return pixels, np.asarray(mask != 0), window
 
     def close(self) -> None:
         """Close all handles."""

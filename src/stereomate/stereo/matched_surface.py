@@ -33,24 +33,13 @@ from stereomate.stereo.kernels import dense_points as kernels
 from stereomate.stereo.model_quality import ModelQuality, ModelTally
 from stereomate.stereo.product import StereoProduct
 from stereomate.stereo.rays import ray_nodes
+from stereomate.stereo.surface_bands import ABOVE, BANDS, HEIGHT, JUMP, ORTHO_TAG, SIGMA
 from stereomate.tiles import executor as tiles
 from stereomate.tiles.ledger import Ledger, run_key
 from stereomate.tiles.plan import Chunk, TilePlan
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
-
-BANDS: Final = (
-    "height of the surface, height system of the project",
-    "height above the height model",
-    "standard deviation of the height: noise of matching, and what the matching window smooths",
-    "miss distance of the rays, positive where the left one passes on the side of v (north)",
-    "correlation of the matched windows",
-    "1 where the surface jumps beside the cell: it may show either level, and no standard deviation holds",
-)
-HEIGHT, ABOVE, SIGMA, MISS, CORRELATION, JUMP = range(6)
-# Of which orthophoto a surface is: SHA-256.
-ORTHO_TAG: Final = "STEREOMATE_ORTHO_SHA256"
 
 _BLOCK: Final = 512
 # A window of half width r lowers a ridge of slopes s and -s by s r / 2; the bend over r is 2 s r.

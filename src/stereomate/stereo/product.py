@@ -108,7 +108,7 @@ class StereoProduct:
         raise FormatError(f"must be one of {names}", file=path, field="product", value=name)
 
     def raster_beside(self, kind: str) -> Path:
-        """Where commands write a raster that belongs to the product: its ``surface``, its ``terrain`` check."""
+        """Where commands write a raster of the product: its ``surface``, its ``terrain`` check."""
         return self.folder / (f"{kind}_{self.job.name}.tif" if self.job.name else f"{kind}.tif")
 
     def verify(self) -> None:

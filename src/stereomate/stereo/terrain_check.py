@@ -27,8 +27,9 @@ from stereomate.raster import Window, open_photo
 from stereomate.raster.cog import CogProfile, Georeference, assemble_cog, encode_chunk
 from stereomate.raster.files import storing
 from stereomate.rectify.job import RectifyJob
-from stereomate.stereo.matched_surface import ABOVE, SIGMA, SurfaceOptions, surface_grid
+from stereomate.stereo.matched_surface import SurfaceOptions, surface_grid
 from stereomate.stereo.product import StereoProduct
+from stereomate.stereo.surface_bands import ABOVE, SIGMA
 from stereomate.tiles import executor as tiles
 from stereomate.tiles.ledger import Ledger, run_key
 from stereomate.tiles.plan import Chunk, TilePlan

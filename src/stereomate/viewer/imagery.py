@@ -41,6 +41,8 @@ class Stretch:
     def apply(self, pixels: NDArray[Any]) -> NDArray[np.uint8]:
         """Bands shown as bytes, (rows, cols, bands)."""
         if pixels.dtype == np.uint8:
+            if self.bands == tuple(range(pixels.shape[2])):
+                return pixels
             return np.ascontiguousarray(pixels[..., list(self.bands)])
         low, high = np.array(self.low, np.float32), np.array(self.high, np.float32)
         shown = pixels[..., list(self.bands)].astype(np.float32)
@@ -83,7 +85,8 @@ def read_tile(image: PyramidReader, stretch: Stretch, level: int, col: int, row:
         raise KeyError((level, col, row))
     pixels, valid, window = image.read(level, col0 - APRON, row0 - APRON, TILE + 2 * APRON, TILE + 2 * APRON)
     shown = stretch.apply(pixels)
-    shown[~valid] = 0
+    if not valid.all():
+        shown[~valid] = 0
     before = (window.row0 - (row0 - APRON), window.col0 - (col0 - APRON))
     wanted = (min(TILE, rows - row0) + 2 * APRON, min(TILE, cols - col0) + 2 * APRON)
     after = tuple(wanted[k] - before[k] - shown.shape[k] for k in range(2))

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from stereomate.errors import FormatError, ImageError
 from stereomate.raster.pyramid import PyramidReader, open_pyramid
-from stereomate.stereo.matched_surface import ABOVE, BANDS, ORTHO_TAG, SIGMA
 from stereomate.stereo.product import StereoProduct
+from stereomate.stereo.surface_bands import ABOVE, BANDS, JUMP, ORTHO_TAG, SIGMA
 from stereomate.viewer.layers import layer_size, layer_step
 
 LOG = logging.getLogger(__name__)
@@ -86,7 +86,7 @@ def object_heights(product: StereoProduct, path: Path) -> Floats32:
             pixels, _, window = raster.read(0, 0, row0, size_cols, _ROWS)
             place_rows = _layer_index(np.arange(window.row0, window.row1), cell, step, rows)
             place = (place_rows[:, None] * cols + place_cols).ravel()
-            _keep_highest(out, place, pixels[..., ABOVE].ravel(), pixels[..., SIGMA].ravel())
+            _keep_highest(out, place, pixels[..., ABOVE].ravel(), _sigma(pixels).ravel())
     return out.reshape(2, rows, cols)
 
 
@@ -94,6 +94,11 @@ def _cell_px(product: StereoProduct, raster: PyramidReader) -> int:
     """Pixels of the product along a cell of the surface."""
     a, _, _, d, _, _ = raster.info.transform or (product.job.grid.gsd, 0.0, 0.0, 0.0, 0.0, 0.0)
     return max(1, round(float(np.hypot(a, d)) / product.job.grid.gsd))
+
+
+def _sigma(pixels: NDArray[np.float32]) -> Floats32:
+    """Standard deviations; NaN beside jumps, where the surface may show either level."""
+    return np.where(pixels[..., JUMP] > 0.0, np.float32(np.nan), pixels[..., SIGMA])
 
 
 def _layer_index(index: NDArray[np.int64], cell: int, step: int, count: int) -> NDArray[np.int64]:
@@ -118,4 +123,4 @@ def _repeated(raster: PyramidReader, size: tuple[int, int], cell: int, step: int
     col = np.minimum(cols.astype(int), pixels.shape[1] - 1)
     row = np.minimum(rows.astype(int), pixels.shape[0] - 1)
     found = pixels[row[:, None], col]
-    return np.ascontiguousarray(np.stack([found[..., ABOVE], found[..., SIGMA]]), np.float32)
+    return np.ascontiguousarray(np.stack([found[..., ABOVE], _sigma(found)]), np.float32)

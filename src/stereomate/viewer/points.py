@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from stereomate.errors import FormatError
-from stereomate.project.run_record import read_run_record
 from stereomate.rectify.job import RectifyJob
 
 _NEEDED = ("name", "x", "y", "z")
@@ -24,6 +23,9 @@ def residuals_of_run(folder: Path) -> dict[str, list[float]]:
     path = folder / "report.json"
     if not path.is_file():
         return {}
+    # loading the project layer takes longer than all the rest of a first picture
+    from stereomate.project.run_record import read_run_record
+
     checked = read_run_record(path).get("accuracy", {}).get("check_points")
     points = checked["points"] if checked else []
     return {p["name"]: p["difference_m"] for p in points if None not in p["difference_m"]}

@@ -23,6 +23,7 @@ from stereomate.raster.pyramid import PyramidReader, open_pyramid
 from stereomate.stereo.product import StereoProduct
 from stereomate.viewer import binary, layers
 from stereomate.viewer.imagery import TILE, Stretch, TileFormat, encode_image, read_tile, stretch_of
+from stereomate.viewer.kept import KeptFiles
 from stereomate.viewer.lattice import MeasuringLattice, measuring_lattice
 from stereomate.viewer.objects import object_heights, surface_of
 from stereomate.viewer.points import read_points
@@ -307,6 +308,17 @@ class Site:
         """Close all rasters."""
         for source in self.sources:
             source.close()
+
+
+class KeptSite:
+    """A site whose files are kept for a while once they are made: what a server gives to many clients."""
+
+    def __init__(self, site: Site) -> None:
+        self._site, self._kept = site, KeptFiles()
+
+    def read(self, name: str) -> bytes:
+        """As `Site.read`."""
+        return self._kept.get(name, self._site.read)
 
 
 @functools.cache

@@ -54,6 +54,11 @@ export class TileCache {
   want({ shown, around }) {
     this.waiting.clear();
     this.spare.clear();
+    // the first picture is the coarsest one: nothing else is asked for before it is there
+    if (this.resident.size === 0) {
+      shown = shown.filter(([, level]) => level === this.levels - 1);
+      around = [];
+    }
     this.shown = new Set(shown.map(keyOf));
     // what lies around stays as long as the view itself fits; what was begun of it is let come
     const more = shown.length + around.length < this.capacity ? around : [];
