@@ -26,6 +26,7 @@ from stereomate.errors import StereomateError
 COMMANDS: Final = (
     "init",
     "check",
+    "interior",
     "orient",
     "surface",
     "run",

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from stereomate.camera.model import Camera
 from stereomate.errors import ImageError, OrientationError, ProjectError
+from stereomate.project.film import film_cameras
 from stereomate.project.inputs import PhotoProblem
 from stereomate.project.orientations import WrittenOrientations
 from stereomate.project.photos import match_names, photo_files, read_photo_info
@@ -50,6 +51,7 @@ def find_candidates(
 ) -> tuple[list[Candidate], list[PhotoProblem]]:
     files = photo_files(file.photos.files, file.photos.exclude, path.parent, path)
     matched, problems = match_names(written.names, files, written.source)
+    films = film_cameras(file, path)
     candidates = []
     for index, name in enumerate(written.names):
         if name not in matched:
@@ -58,6 +60,9 @@ def find_candidates(
         try:
             info = read_photo_info(photo)
             camera = _camera_of(index, file, path, written, cameras, info)
+            if camera.name in films:
+                camera = films[camera.name].camera_of(camera, photo, info.size)
+            _require_size(camera, info)
         except (ImageError, OrientationError) as error:
             problems.append(PhotoProblem(photo.name, error))
             continue
@@ -120,10 +125,13 @@ def _camera_of(
             rule = f"must name its camera, one of {', '.join(known)}"
             raise OrientationError(rule, file=written.source, field=written.names[index], value=wanted)
         camera = sized[0]
-    if info is not None and info.size != camera.size_px:
+    return camera
+
+
+def _require_size(camera: Camera, info: RasterInfo) -> None:
+    if info.size != camera.size_px:
         raise ImageError(
             f"must have the {camera.size_px[0]} x {camera.size_px[1]} pixels of camera {camera.name}",
             file=info.path,
             value=f"{info.size[0]} x {info.size[1]}",
         )
-    return camera

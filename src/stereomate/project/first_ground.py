@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
+from stereomate.block.photos import BlockPhoto
 from stereomate.block.start_pairs import Approximation
 from stereomate.block.tie_points import (
-    BlockPhoto,
     TiePointOptions,
     choose_pairs,
     find_features,

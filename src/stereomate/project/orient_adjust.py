@@ -18,6 +18,7 @@ from stereomate.camera.model import Camera
 from stereomate.errors import NotDeterminedError
 from stereomate.project.orient_inputs import OrientInputs
 from stereomate.project.orient_measure import Measured, control_measurements
+from stereomate.project.orient_photos import shared_pixels
 
 Array = NDArray[np.float64]
 
@@ -352,14 +353,17 @@ def _block_data(inputs: OrientInputs, measured: Measured) -> BlockData:
             wrong = {name for part in measured.parts if part.datum == "control" for name in part.outliers}
             keep = np.array([name not in wrong for name in c.names])
             xyz = np.where(keep[:, None], c.tangent_xyz, np.nan)
+            pixels = shared_pixels(inputs.photos, photo_of, pixels)
             control = KnownPoints(c.names, xyz, c.sigma_m, point, photo_of, pixels)
             check = c.check
+    ties = measured.ties
+    ties = replace(ties, pixels=shared_pixels(inputs.photos, ties.photo, ties.pixels))
     return BlockData(
         tuple(photo.name for photo in inputs.photos),
         np.array([numbers[photo.camera.name] for photo in inputs.photos], dtype=np.int64),
         tuple(cameras.values()),
         calibrate,
-        measured.ties,
+        ties,
         control,
         check,
         sigma,

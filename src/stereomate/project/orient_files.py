@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from stereomate.camera.distortion import BrownDistortion, FisheyeDistortion, NoDistortion, OpenCVDistortion
 from stereomate.camera.model import Camera
 from stereomate.formats.declared import Declared
-from stereomate.formats.measured_pairs import write_points
 from stereomate.formats.orientation_set import OrientationSet
 from stereomate.formats.parquet import write_parquet
 from stereomate.formats.tables import write_table
 from stereomate.frames.transform import map_from_tangent
 from stereomate.project.orient_adjust import Adjusted
 from stereomate.project.orient_inputs import OrientInputs
+from stereomate.project.orient_layers import LAYERS, write_orient_layers
+from stereomate.project.orient_photos import scan_pixels
 from stereomate.project.orient_record import OrientedPhotos
 from stereomate.project.orient_surface import SURFACE, write_tie_surface
 from stereomate.project.schema import ProjectFile
@@ -74,7 +75,7 @@ def write_results(
         write_whole(out / ORIENTED, [oriented_project(inputs, adjusted, surface is not None).encode()])
     written += _tables(out, inputs, adjusted, photos)
     if adjusted.has_datum:
-        written.append(_layer(out / "photographs.gpkg", inputs, photos, record))
+        written.append(write_orient_layers(out / LAYERS, inputs, adjusted, photos, record))
     return written
 
 
@@ -120,7 +121,8 @@ def _tables(out: Path, inputs: OrientInputs, adjusted: Adjusted, photos: Oriente
         "photograph": [photos.names[k] for k in image.photo.tolist()],
         "used": result.used,
     }
-    columns |= {"col": image.xy[:, 0], "row": image.xy[:, 1], "sigma_px": image.sigma[:, 0]}
+    pixels = scan_pixels(inputs.photos, adjusted.assembled.photos[image.photo], image.xy)
+    columns |= {"col": pixels[:, 0], "row": pixels[:, 1], "sigma_px": image.sigma[:, 0]}
     nothing = np.full((m, 2), math.nan)
     pairs = {
         "residual": result.residuals,
@@ -133,27 +135,6 @@ def _tables(out: Path, inputs: OrientInputs, adjusted: Adjusted, photos: Oriente
     columns["point_shift_m"] = (nothing if statistics is None else statistics.on_point).max(axis=1)
     write_parquet(out / TABLES[2], columns, _MEANINGS)
     return [out / name for name in TABLES]
-
-
-def _layer(path: Path, inputs: OrientInputs, photos: OrientedPhotos, record: dict[str, Any]) -> Path:
-    listed = {entry["name"]: entry for entry in record["photographs"]}
-    residuals = {
-        entry["name"]: entry["residual_m"] for entry in (record["positions"] or {}).get("residuals", [])
-    }
-    stem = [Path(name).stem for name in photos.names]
-    nothing = [None, None, None]
-
-    def axis(values: list[Any], k: int) -> list[float]:
-        return [math.nan if v[k] is None else float(v[k]) for v in values]
-
-    missing = [residuals.get(name, nothing) for name in stem]
-    deviations = [listed[name]["standard_deviation_m"] for name in photos.names]
-    columns: dict[str, Any] = {"name": list(photos.names), "camera": list(photos.cameras)}
-    columns |= dict(zip(("omega", "phi", "kappa"), photos.opk_deg.T, strict=True))
-    columns |= {f"s{a}": axis(deviations, k) for k, a in enumerate("xyz")}
-    columns |= {f"position_residual_{a}": axis(missing, k) for k, a in enumerate("xyz")}
-    write_points(path, columns, photos.positions, inputs.frame.crs, "photographs")
-    return path
 
 
 def oriented_project(inputs: OrientInputs, adjusted: Adjusted, own_surface: bool) -> str:
@@ -174,12 +155,21 @@ def oriented_project(inputs: OrientInputs, adjusted: Adjusted, own_surface: bool
     }  # fmt: skip
     if own_surface:
         document["terrain"] = {"file": SURFACE}
-    document["camera"] = [camera_section(camera) for camera in adjusted.result.cameras]
+    document["camera"] = [
+        camera_section(camera) | _film_part(document, camera) for camera in adjusted.result.cameras
+    ]
     return (
         "# Written by stereomate orient: the oriented photographs, their calibrated cameras, and what\n"
         f"# {inputs.path.name} says of terrain and products. stereomate run goes on from here.\n\n"
         + toml_text(document)
     )
+
+
+def _film_part(document: dict[str, Any], camera: Camera) -> dict[str, Any]:
+    """The fiducial marks of a film camera: each scan keeps its own interior orientation."""
+    sections = {section["name"]: section for section in document.get("camera", ())}
+    fiducials = sections.get(camera.name, {}).get("fiducials")
+    return {} if fiducials is None else {"fiducials": fiducials}
 
 
 def absolute_document(file: ProjectFile, folder: Path) -> dict[str, Any]:
@@ -196,6 +186,13 @@ def absolute_document(file: ProjectFile, folder: Path) -> dict[str, Any]:
         heights = (document.get(section) or {}).get("heights")
         if isinstance(heights, str) and (folder / heights).is_file():
             document[section]["heights"] = str((folder / heights).resolve())
+    for camera in document.get("camera", ()):
+        film = camera.get("fiducials") or {}
+        if film.get("measured"):
+            film["measured"] = _absolute(folder, film["measured"])
+        for mark in (film.get("template"), *(film.get("templates") or {}).values()):
+            if mark is not None and mark.get("file"):
+                mark["file"] = _absolute(folder, mark["file"])
     compare = document["photos"].get("compare")
     if compare is not None:
         compare["orientation"] = _absolute(folder, compare["orientation"])

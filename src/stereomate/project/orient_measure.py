@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stereomate.block.photos import BlockPhoto
 from stereomate.block.refine import OrientedPoints, measure_again
 from stereomate.block.start import KnownPoints, KnownPositions, find_start
 from stereomate.block.start_pairs import Approximation, PairSelection
 from stereomate.block.tie_points import (
-    BlockPhoto,
     PairResult,
     TiePointOptions,
     choose_pairs,
@@ -112,7 +112,8 @@ def measure_block(
     """
     options = tie_point_options(inputs)
     photos = tuple(
-        BlockPhoto(k + 1, p.path.name, p.path, p.camera, p.digest) for k, p in enumerate(inputs.photos)
+        BlockPhoto(k + 1, p.path.name, p.path, p.of_pixels, p.digest, p.format_mm)
+        for k, p in enumerate(inputs.photos)
     )
     with MeasurementDatabase.open(database_path) as database:
         _describe(database, photos, inputs)

@@ -8,10 +8,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from stereomate.camera.model import Camera
 from stereomate.errors import ImageError, InputError, ProjectError
 from stereomate.formats.exif import CameraTags, read_camera_tags
 from stereomate.project.cameras import camera_from_section
+from stereomate.project.film import Film, film_cameras, film_notes
 from stereomate.project.inputs import PhotoProblem, photo_fingerprint
 from stereomate.project.loader import cameras_of
 from stereomate.project.photos import photo_files, read_photo_info
@@ -37,6 +41,10 @@ class RawPhoto:
         The camera has a distortion from the project file: it is taken as it is.
     digest : str
         Fingerprint of the file.
+    scan : Camera or None
+        Of film: the camera with this scan's own interior orientation; `camera` is what all scans share.
+    format_mm : (float, float) or None
+        Of film: width and height of the picture within its frame.
     """
 
     name: str
@@ -46,6 +54,13 @@ class RawPhoto:
     camera: Camera
     calibrated: bool
     digest: str
+    scan: Camera | None = None
+    format_mm: tuple[float, float] | None = None
+
+    @property
+    def of_pixels(self) -> Camera:
+        """The camera that the pixels of the file belong to."""
+        return self.camera if self.scan is None else self.scan
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +70,28 @@ class RawPhotos:
     photos: tuple[RawPhoto, ...]
     problems: tuple[PhotoProblem, ...]
     notes: tuple[str, ...]
+
+
+def shared_pixels(
+    photos: Sequence[RawPhoto], photo: NDArray[np.int64], pixels: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Pixels (m, 2) of photographs (m) as pixels of the cameras they share; film alone moves."""
+    out = pixels.copy()
+    for k, one in enumerate(photos):
+        if one.scan is not None and (mine := photo == k).any():
+            out[mine] = one.camera.image_from_photo(one.scan.photo_from_image(pixels[mine]))
+    return out
+
+
+def scan_pixels(
+    photos: Sequence[RawPhoto], photo: NDArray[np.int64], pixels: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The reverse of `shared_pixels`."""
+    out = pixels.copy()
+    for k, one in enumerate(photos):
+        if one.scan is not None and (mine := photo == k).any():
+            out[mine] = one.scan.image_from_photo(one.camera.photo_from_image(pixels[mine]))
+    return out
 
 
 def raw_photos(file: ProjectFile, path: Path, named: Mapping[str, str | None] | None = None) -> RawPhotos:
@@ -126,10 +163,24 @@ def _with_described(
     if file.photos.camera is not None and file.photos.camera not in cameras:
         rule = f"must be one of {', '.join(cameras)}"
         raise ProjectError(rule, file=path, field="photos.camera", value=file.photos.camera)
-    calibrated = {section.name for section in file.camera if section.distortion is not None}
+    films = film_cameras(file, path)
+    notes += film_notes(films, [photo.stem for photo, *_ in found])
+    # Film comes with a certificate, if only to say that the lens has no distortion.
+    calibrated = {s.name for s in file.camera if s.distortion is not None or s.fiducials is not None}
     photos = []
     for photo, info, tags, digest in found:
         wanted = file.photos.camera or named.get(photo.stem)
+        name = film_of_photo(file, films, cameras, photo, wanted)
+        if name is not None:
+            film, shared = films[name], cameras[name]
+            try:
+                scan = film.camera_of(shared, photo, info.size)
+            except ImageError as error:
+                problems.append(PhotoProblem(photo.name, error))
+                continue
+            size_mm = film.section.format_mm
+            photos.append(RawPhoto(photo.stem, photo, info, tags, shared, True, digest, scan, size_mm))
+            continue
         sized = [camera for camera in cameras.values() if camera.size_px == info.size]
         camera = cameras.get(wanted or "") or (sized[0] if len(sized) == 1 else None)
         if camera is None or camera.size_px != info.size:
@@ -142,6 +193,23 @@ def _with_described(
             continue
         photos.append(RawPhoto(photo.stem, photo, info, tags, camera, camera.name in calibrated, digest))
     return _split_by_tags(photos, notes)
+
+
+def film_of_photo(
+    file: ProjectFile,
+    films: Mapping[str, Film],
+    cameras: Mapping[str, Camera],
+    photo: Path,
+    wanted: str | None = None,
+) -> str | None:
+    """Name of the film camera of a photograph; None if it is of a digital one.
+
+    By the name that is stated, by the only camera there is, or by the film whose marks are measured in it.
+    """
+    wanted = wanted or file.photos.camera or (next(iter(cameras)) if len(cameras) == 1 else None)
+    if wanted is not None:
+        return wanted if wanted in films else None
+    return next((name for name, film in films.items() if photo.stem in film.measured), None)
 
 
 def _kind(tags: CameraTags) -> tuple[str, float | None]:

@@ -192,6 +192,7 @@ def _cameras(adjusted: Adjusted) -> list[dict[str, Any]]:
 def _photographs(adjusted: Adjusted, photos: OrientedPhotos, rays: NDArray[np.int64]) -> list[dict[str, Any]]:
     statistics = adjusted.result.statistics
     sigma = statistics.photo_sigma if statistics is not None else np.full((len(photos.names), 6), math.nan)
+    square = _mean_square_residuals(adjusted, len(photos.names))
     return [
         {
             "name": name,
@@ -201,9 +202,21 @@ def _photographs(adjusted: Adjusted, photos: OrientedPhotos, rays: NDArray[np.in
             "standard_deviation_m": _numbers(sigma[k, :3]),
             "standard_deviation_deg": _numbers(np.degrees(sigma[k, 3:])),
             "image_points": int(rays[k]),
+            "image_rms_px": _number(math.sqrt(square[k])),
         }
         for k, name in enumerate(photos.names)
     ]
+
+
+def _mean_square_residuals(adjusted: Adjusted, count: int) -> Array:
+    """Mean square of a coordinate of the image residuals of each photograph, pixels²; NaN without points."""
+    result = adjusted.result
+    photo = result.network.image.photo[result.used]
+    squares = np.sum(result.residuals[result.used] ** 2, axis=1)
+    total = np.bincount(photo, squares, minlength=count)
+    points = np.bincount(photo, minlength=count)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(total / (2.0 * points))
 
 
 def _not_oriented(inputs: OrientInputs, measured: Measured, adjusted: Adjusted) -> list[dict[str, str]]:

@@ -8,9 +8,19 @@ from __future__ import annotations
 
 from typing import Annotated, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from stereomate.forms import PROJECT
+from stereomate.project.schema_camera import (
+    ALL_COEFFICIENTS,
+    COEFFICIENTS,
+    CameraSection,
+    DistortionSection,
+    Finite,
+    Positive,
+    Section,
+    exactly_one,
+)
 from stereomate.rectify.options import (
     Compression,
     DataType,
@@ -22,16 +32,12 @@ from stereomate.rectify.options import (
     SeamKind,
 )
 
-Two = Annotated[tuple[float, float], Field(strict=False)]
 Three = Annotated[tuple[float, float, float], Field(strict=False)]
 Four = Annotated[tuple[float, float, float, float], Field(strict=False)]
-Size = Annotated[tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]], Field(strict=False)]
 Names = Annotated[tuple[str, ...], Field(strict=False)]
 Bands = Annotated[tuple[int, ...], Field(strict=False)]
 Pair = Annotated[tuple[str, str], Field(strict=False)]
 Pairs = Annotated[tuple[Pair, ...], Field(strict=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 Sigmas = Annotated[tuple[Positive, Positive, Positive], Field(strict=False)]
 Parameter = Literal["principal_distance", "principal_point", "k1", "k2", "k3", "k4", "p1", "p2", "b1", "b2"]
 Calibrated = Annotated[tuple[Parameter, ...], Field(strict=False)]
@@ -43,12 +49,6 @@ AdjustedIn = Literal["grid", "space"]
 Mount = Literal["y_forward", "x_forward", "gimbal"]
 
 
-class Section(BaseModel):
-    """A table of the project file: frozen, strict types, unknown keys refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-
-
 class ProjectSection(Section):
     """``[project]``."""
 
@@ -57,82 +57,6 @@ class ProjectSection(Section):
     crs: str
     heights: str
     tangent_origin: Three | None = None
-
-
-class DistortionSection(Section):
-    """``distortion = { ... }`` of a camera; coefficients that are not given are zero."""
-
-    model: Literal["brown", "opencv", "fisheye"]
-    convention: Literal["opencv", "agisoft", "usgs", "australis"] = "opencv"
-    direction: Literal["ideal_to_measured", "measured_to_ideal"] = "ideal_to_measured"
-    units: Literal["normalised", "mm"] = "normalised"
-    point_of_symmetry_mm: Two | None = None
-    k0: Finite = 0.0
-    k1: Finite = 0.0
-    k2: Finite = 0.0
-    k3: Finite = 0.0
-    k4: Finite = 0.0
-    k5: Finite = 0.0
-    k6: Finite = 0.0
-    p1: Finite = 0.0
-    p2: Finite = 0.0
-    b1: Finite = 0.0
-    b2: Finite = 0.0
-    s1: Finite = 0.0
-    s2: Finite = 0.0
-    s3: Finite = 0.0
-    s4: Finite = 0.0
-    taux: Finite = 0.0
-    tauy: Finite = 0.0
-
-    @model_validator(mode="after")
-    def _coefficients_belong_to_the_model(self) -> DistortionSection:
-        known = COEFFICIENTS[self.model]
-        if self.model != "brown":
-            for name in ("convention", "direction", "units", "point_of_symmetry_mm"):
-                if name in self.model_fields_set:
-                    raise ValueError(f"{name} has a meaning only with the brown model")
-        for name in sorted(self.model_fields_set & ALL_COEFFICIENTS):
-            if name not in known:
-                raise ValueError(f"{name} is no coefficient of the {self.model} model: {', '.join(known)}")
-        return self
-
-
-COEFFICIENTS: Final[dict[str, tuple[str, ...]]] = {
-    "brown": ("k0", "k1", "k2", "k3", "k4", "p1", "p2", "b1", "b2"),
-    "opencv": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "taux", "tauy"),
-    "fisheye": ("k1", "k2", "k3", "k4"),
-}
-ALL_COEFFICIENTS: Final = frozenset(name for names in COEFFICIENTS.values() for name in names)
-
-
-class CameraSection(Section):
-    """``[[camera]]``."""
-
-    name: str = Field(min_length=1)
-    size_px: Size
-    principal_distance_mm: Positive | None = None
-    principal_distance_px: Positive | None = None
-    sensor_mm: Two | None = None
-    pixel_pitch_mm: Positive | Two | None = None
-    principal_point_mm: Two | None = None
-    principal_point_px: Two | None = None
-    rotation: Literal[0, 90, 180, 270] = 0
-    mirrored: bool = False
-    distortion: DistortionSection | None = None
-
-    @model_validator(mode="after")
-    def _one_of_each(self) -> CameraSection:
-        _exactly_one(self, "principal_distance_mm", "principal_distance_px")
-        _at_most_one(self, "sensor_mm", "pixel_pitch_mm")
-        _at_most_one(self, "principal_point_mm", "principal_point_px")
-        if self.principal_distance_mm is not None and self.sensor_mm is None and self.pixel_pitch_mm is None:
-            raise ValueError("sensor_mm or pixel_pitch_mm must be given with principal_distance_mm")
-        for name in ("sensor_mm", "pixel_pitch_mm"):
-            value = getattr(self, name)
-            if isinstance(value, tuple) and min(value) <= 0:
-                raise ValueError(f"{name} must be positive")
-        return self
 
 
 class OrientationSection(Section):
@@ -194,7 +118,7 @@ class TerrainSection(Section):
 
     @model_validator(mode="after")
     def _file_or_level(self) -> TerrainSection:
-        _exactly_one(self, "file", "level")
+        exactly_one(self, "file", "level")
         if self.level is not None:
             for name in ("crs", "heights", "unit", "nodata"):
                 if name in self.model_fields_set:
@@ -337,14 +261,8 @@ class ProjectFile(Section):
 
 UNDECLARED: Final = "undeclared"
 
-
-def _exactly_one(section: Section, *names: str) -> None:
-    _at_most_one(section, *names)
-    if all(getattr(section, name) is None for name in names):
-        raise ValueError(f"{' or '.join(names)} must be given")
-
-
-def _at_most_one(section: Section, *names: str) -> None:
-    given = [name for name in names if getattr(section, name) is not None]
-    if len(given) > 1:
-        raise ValueError(f"only one of {' and '.join(given)} may be given")
+__all__ = [
+    "ALL_COEFFICIENTS", "COEFFICIENTS", "UNDECLARED", "AccuracySection", "CameraSection", "ControlSection",
+    "DistortionSection", "ObservationsSection", "OrientSection", "OrientationSection", "PhotosSection",
+    "ProductsSection", "ProjectFile", "ProjectSection", "Section", "SurfaceSection", "TerrainSection",
+]  # fmt: skip

@@ -1,0 +1,267 @@
+"""Film in a project: marks found in scans, interior orientation of each, and what orient makes of it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from run_survey import write_tiny
+
+from stereomate.cli import main
+from stereomate.errors import ProjectError
+from stereomate.measurement.fiducial_marks import MarkTemplate, drawn_mark
+from stereomate.project import load
+from stereomate.project.interior import interior_of_project
+from stereomate.project.orient import orient
+
+SIZE, MARGIN, PITCH = (320, 240), 90, 0.1
+# Sides of the frame, not symmetric: as a certificate has them.
+MARKS = {"R": (20.013, 0.021), "L": (-19.988, -0.013), "T": (0.008, 16.006), "B": (-0.017, -15.994)}
+DRAWN = {"R": ("cross", 3.0), "L": ("dot", 2.0), "T": ("circle", 2.4), "B": ("cross", 3.0)}
+
+
+def pasted(image: np.ndarray, picture: np.ndarray, centre: tuple[float, float], at: np.ndarray) -> None:
+    """Put a grey picture so that its centre comes to a place to parts of a pixel."""
+    rows, cols = picture.shape
+    left, top = at[0] - centre[0], at[1] - centre[1]
+    c0, r0 = int(np.floor(left)), int(np.floor(top))
+    shift = np.array([[1, 0, left - c0], [0, 1, top - r0]])
+    moved = cv2.warpAffine(picture.astype(np.float64), shift, (cols, rows), flags=cv2.INTER_CUBIC,
+                           borderMode=cv2.BORDER_REPLICATE)  # fmt: skip
+    image[r0 : r0 + rows, c0 : c0 + cols] = np.clip(moved, 0, 255)[..., None]
+
+
+def film_frame(photo: np.ndarray, pictures: dict[str, MarkTemplate]) -> np.ndarray:
+    """A rendered photograph in the dark frame of a film camera, marks at their certificate's places."""
+    rows, cols = photo.shape[0] + 2 * MARGIN, photo.shape[1] + 2 * MARGIN
+    image = np.full((rows, cols, 3), 25.0)
+    image[MARGIN:-MARGIN, MARGIN:-MARGIN] = photo
+    for name, xy in MARKS.items():
+        template = pictures[name]
+        pasted(image, template.picture, template.centre_px, upright_pixel(np.array(xy)))
+    return image
+
+
+def upright_pixel(xy_mm: np.ndarray) -> np.ndarray:
+    """Pixel of the frame of photo coordinates."""
+    middle = np.array([SIZE[0] / 2 + MARGIN, SIZE[1] / 2 + MARGIN])
+    return middle + np.array([1.0, -1.0]) * xy_mm / PITCH
+
+
+def lying(pixel: np.ndarray, rotation: int, mirrored: bool) -> np.ndarray:
+    """Where pixels (..., 2) of the frame come to in a scan that is mirrored and then turned clockwise."""
+    cols, rows = SIZE[0] + 2 * MARGIN, SIZE[1] + 2 * MARGIN
+    col, row = pixel[..., 0], pixel[..., 1]
+    if mirrored:
+        col = cols - col
+    for _ in range(rotation // 90):
+        col, row = rows - row, col
+        cols, rows = rows, cols
+    return np.stack([col, row], axis=-1)
+
+
+def scanned(image: np.ndarray, rotation: int, mirrored: bool, seed: int) -> np.ndarray:
+    picture = image[:, ::-1] if mirrored else image
+    turned = np.rot90(picture, -(rotation // 90))
+    noise = np.random.default_rng(seed).normal(0, 1.0, turned.shape)
+    return np.clip(np.rint(turned + noise), 0, 255).astype(np.uint8)
+
+
+def write_film(folder: Path, ways: list[tuple[int, bool]], pictures: dict[str, MarkTemplate],
+               section: str) -> tuple[Path, Path]:  # fmt: skip
+    """Digital and film version of one synthetic strip: the two project files."""
+    digital = write_tiny(folder / "digital", size_px=SIZE, flying_height_m=150.0)
+    film = folder / "film"
+    film.mkdir()
+    for k, (path, way) in enumerate(zip(sorted(digital.parent.glob("strip*.tif")), ways, strict=True)):
+        scan = scanned(film_frame(tifffile.imread(path), pictures), *way, seed=k)
+        tifffile.imwrite(film / path.name, scan, photometric="rgb")
+    for name in ("orientation.csv", "heights.tif"):
+        shutil.copy(digital.parent / name, film / name)
+    lines = digital.read_text(encoding="utf-8").splitlines()
+    end = lines.index("[photos]")
+    size = f"size_px = [{SIZE[0] + 2 * MARGIN}, {SIZE[1] + 2 * MARGIN}]"
+    lines = [size if line.startswith("size_px") else line for line in lines]
+    marks = ", ".join(f"{name} = [{x}, {y}]" for name, (x, y) in MARKS.items())
+    lines[end:end] = ["[camera.fiducials]", f"marks = {{ {marks} }}", *section.splitlines(), ""]
+    path = film / "project.toml"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return digital, path
+
+
+def templates_toml() -> str:
+    inner = ", ".join(
+        f'{name} = {{ kind = "{kind}", size_mm = {size}, line_mm = 0.4 }}'
+        for name, (kind, size) in DRAWN.items()
+    )
+    return f"templates = {{ {inner} }}\nformat_mm = [32.0, 24.0]\nsearch_mm = 3.0\nsigma_mm = 0.01"
+
+
+WAYS = [(0, False), (90, True), (180, False)]
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    pictures = {}
+    for name, (kind, size) in DRAWN.items():
+        drawn = drawn_mark(kind, size / PITCH, 0.4 / PITCH)
+        pictures[name] = MarkTemplate(25.0 + 180.0 * drawn.picture, drawn.centre_px)
+    return write_film(tmp_path_factory.mktemp("film"), WAYS, pictures, templates_toml())
+
+
+@pytest.fixture(scope="module")
+def found(survey: tuple[Path, Path]) -> list[dict]:
+    """What `stereomate interior` finds; its table goes into the project."""
+    path = survey[1]
+    with pytest.raises(SystemExit) as end:
+        main.run(["interior", str(path), "-q"])
+    assert end.value.code in (0, None)
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("search_mm", 'measured = "interior.csv"\nsearch_mm'), encoding="utf-8")
+    return json.loads((path.parent / "interior.json").read_text())["scans"]
+
+
+def test_unmeasured_film_is_named_with_the_command_that_helps(
+    survey: tuple[Path, Path], tmp_path: Path
+) -> None:
+    shutil.copytree(survey[1].parent, tmp_path / "film")
+    path = tmp_path / "film" / "project.toml"
+    text = path.read_text().replace('measured = "interior.csv"\n', "")
+    path.write_text(text)
+    with pytest.raises(Exception, match=r"fiducial marks measured.*stereomate interior finds them"):
+        load(path)
+
+
+def test_marks_are_found_within_a_fifth_of_a_pixel_however_the_film_lies(found: list[dict]) -> None:
+    assert len(found) == 3
+    for scan, (rotation, mirrored) in zip(found, WAYS, strict=True):
+        assert (scan["rotation"], scan["mirrored"]) == (rotation, mirrored), scan["photograph"]
+        assert scan["missing"] == []
+        assert max(scan["rms_mm"]) < 0.2 * PITCH
+        for mark in scan["marks"]:
+            truth = lying(upright_pixel(np.array(MARKS[mark["name"]])), rotation, mirrored)
+            np.testing.assert_allclose([mark["col"], mark["row"]], truth, atol=0.2)
+
+
+def test_every_scan_has_the_camera_of_its_own_marks(survey: tuple[Path, Path], found: list[dict]) -> None:
+    """Ground points come to the pixels of the digital photograph, laid into the scan as it was scanned."""
+    digital, film = load(survey[0]), load(survey[1])
+    assert len(film.survey.photographs) == 3
+    assert len({photo.camera.name for photo in film.survey.photographs}) == 3
+    rng = np.random.default_rng(3)
+    for one, other, way in zip(digital.survey.photographs, film.survey.photographs, WAYS, strict=True):
+        pixels = rng.uniform((5, 5), (315, 235), (40, 2))
+        rays = one.camera.rays_from_image(pixels)
+        scan, inside = other.camera.image_from_camera(rays)
+        assert inside.all()
+        np.testing.assert_allclose(scan, lying(pixels + MARGIN, *way), atol=0.3)
+
+
+def test_film_is_oriented_from_its_scans(
+    survey: tuple[Path, Path], found: list[dict], tmp_path: Path
+) -> None:
+    """The scans share one camera in the adjustment; the oriented project has them as film again."""
+    path = survey[1]
+    with path.open("a", encoding="utf-8") as file:
+        file.write(
+            "\n[orient]\nposition_sigma_m = [0.1, 0.1, 0.1]\nfeatures = 1200\npoints_per_photo = 120\n"
+        )
+    result = orient(path, tmp_path)
+    record = result.record
+    assert record["summary"]["oriented"] == 3
+    assert [camera["name"] for camera in record["cameras"]] == ["synthetic"]
+    assert record["summary"]["image_rms_px"]["columns"] < 0.4
+    assert any("film camera synthetic" in note for note in record["notes"])
+    oriented, truth = load(tmp_path / "oriented.toml"), load(survey[0])
+    for one, other, stated in zip(
+        oriented.survey.photographs, truth.survey.photographs, record["photographs"], strict=True
+    ):
+        turn = one.orientation.object_from_camera @ other.orientation.object_from_camera.T
+        error = np.degrees([turn[2, 1], turn[0, 2], turn[1, 0]])
+        # One strip leaves the tilt about its line to the accuracy that is stated; the others are fixed.
+        assert np.abs(error[1:]).max() < 0.1
+        assert abs(error[0]) < 4.0 * stated["standard_deviation_deg"][0]
+        assert np.abs(np.subtract(one.orientation.centre, other.orientation.centre)).max() < 0.3
+
+
+def test_distances_alone_and_marks_that_do_not_fit(survey: tuple[Path, Path], found: list[dict],
+                                                   tmp_path: Path) -> None:  # fmt: skip
+    shutil.copytree(survey[1].parent, tmp_path / "film")
+    path = tmp_path / "film" / "project.toml"
+    text = path.read_text()
+    distances = [
+        ("L", "R", 40.001),
+        ("T", "B", 32.0),
+        ("L", "T", 25.62),
+        ("R", "T", 25.62),
+        ("L", "B", 25.62),
+    ]
+    stated = "distances = [" + ", ".join(f'["{a}", "{b}", {d}]' for a, b, d in distances) + "]"
+    path.write_text(text.replace("search_mm", f"{stated}\nsearch_mm"))
+    scans = interior_of_project(path)
+    assert all(scan.interior is not None for scan in scans)
+    assert max(max(scan.interior.rms_mm) for scan in scans) < 0.05
+    # A mark of another place: named, and the photograph is left out.
+    table = (tmp_path / "film" / "interior.csv").read_text().splitlines()
+    cells = table[1].split(",")
+    table[1] = ",".join([*cells[:2], str(float(cells[2]) + 40.0), cells[3]])
+    (tmp_path / "film" / "interior.csv").write_text("\n".join(table) + "\n")
+    scans = interior_of_project(path)
+    assert "where its certificate has them" in scans[0].problem
+    project = load(path)
+    assert len(project.survey.photographs) == 2
+    assert any("fiducial marks" in str(problem.error) for problem in project.problems)
+    path.write_text(text.replace("templates = {", 'templates = { X = { kind = "dot", size_mm = 1.0 },'))
+    with pytest.raises(ProjectError, match="must be one of the marks"):
+        load(path)
+
+
+CROPS = "hipp_fiducials/examples/fiducial_proxy_detection/input_data/fiducials"
+FILMS = ["nagap/curve", "nagap/block", "nagap/triangle", "nagap/arc", "nagap/notch", "ee/block", "ee/notch"]
+
+
+@pytest.mark.real
+def test_marks_of_real_films_in_rendered_film_photographs(data_folder: Path, tmp_path: Path) -> None:
+    """Every crop of seven films painted into rendered photographs: found by the user's crop within 0.2 px."""
+    ways = [(0, False), (90, False), (180, True), (270, True), (90, True), (270, False), (0, True)]
+    frames = {}
+    for film, way in zip(FILMS, ways, strict=True):
+        folder = tmp_path / film.replace("/", "_")
+        folder.mkdir()
+        pictures, parts = {}, []
+        for name in "RLTB":
+            source = next(iter(sorted((data_folder / CROPS / film).glob(f"{name}.*"))))
+            grey = cv2.imread(str(source), cv2.IMREAD_GRAYSCALE)
+            factor = 90.0 / max(grey.shape)
+            size = (round(grey.shape[1] * factor), round(grey.shape[0] * factor))
+            crop = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+            tifffile.imwrite(folder / f"{name}.tif", crop, photometric="minisblack")
+            pictures[name] = MarkTemplate(crop.astype(np.float32), (size[0] / 2, size[1] / 2))
+            parts.append(f'{name} = {{ file = "../{name}.tif" }}')
+        lie = f"rotation = {way[0]}\nmirrored = {str(way[1]).lower()}"
+        section = f"templates = {{ {', '.join(parts)} }}\nsearch_mm = 2.0\nsigma_mm = 0.01"
+        if not frames:
+            digital, path = write_film(folder, [way] * 3, pictures, section)
+            frames = {p.name: tifffile.imread(p) for p in sorted(digital.parent.glob("strip*.tif"))}
+            text = path.read_text()
+        else:
+            path = folder / "film" / "project.toml"
+            path.parent.mkdir()
+            path.write_text(text)
+            for k, (name, photo) in enumerate(frames.items()):
+                tifffile.imwrite(path.parent / name, scanned(film_frame(photo, pictures), *way, seed=k),
+                                 photometric="rgb")  # fmt: skip
+        path.write_text(path.read_text().replace("[camera.fiducials]", f"{lie}\n[camera.fiducials]", 1))
+        scans = interior_of_project(path)
+        assert len(scans) == 3
+        for scan in scans:
+            assert not scan.problem, (film, scan.problem)
+            assert (scan.interior.rotation, scan.interior.mirrored) == way
+            for mark, (col, row, _) in scan.marks.items():
+                truth = lying(upright_pixel(np.array(MARKS[mark])), *way)
+                np.testing.assert_allclose([col, row], truth, atol=0.2, err_msg=f"{film} {mark}")
