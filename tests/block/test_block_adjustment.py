@@ -13,10 +13,11 @@ from scipy.stats import binom, chi2
 
 from stereomate.block import prepared
 from stereomate.block.adjustment import adjust_block
+from stereomate.block.navigation import groups_of
 from stereomate.block.network import Attitudes, BlockCamera, Control, ImagePoints, Network, Positions
 from stereomate.block.options import BlockOptions, TestOptions
 from stereomate.block.statistics import detection_limit
-from stereomate.block.unknowns import vector_from_rotation
+from stereomate.block.unknowns import layout_of, moved, start_of, vector_from_rotation
 from stereomate.block.whole import full_covariance
 from stereomate.errors import InputError, NotDeterminedError
 from stereomate.geometry.rotations import rotation_from_vector
@@ -175,6 +176,65 @@ def test_lever_arm_shift_drift_and_boresight_are_found():
     assert total == pytest.approx(result.redundancy, abs=1e-6)
 
 
+def test_derivatives_of_navigation_are_those_of_differences():
+    """Positions with everything that can be unknown, and attitudes with a boresight, at a state off zero."""
+    block = make_block(columns=3, rows=2, per_photo=8)
+    n = len(block.centres)
+    rng = np.random.default_rng(3)
+    positions = Positions(
+        np.arange(n), block.centres, 0.02, (0.3, -0.2, 0.5), np.repeat([0, 1], 3), None, True, True,
+        lever_arm_sigma=0.1,
+    )  # fmt: skip
+    turned = rotation_from_vector(0.02 * rng.normal(size=(n, 3))) @ block.rotations
+    attitudes = Attitudes(np.arange(n), turned, 1e-3, boresight=True)
+    network = replace(block.network, positions=positions, attitudes=attitudes)
+    layout = layout_of(network)
+    q = len(layout.names)
+    none = np.zeros((len(block.points), 3))
+    state = moved(start_of(network, layout), layout, np.zeros((n, 6)), none, 0.02 * rng.normal(size=q))
+    groups = groups_of(network, layout, state)
+    for column in range(6 + q):
+        step, shared = np.zeros((n, 6)), np.zeros(q)
+        if column < 6:
+            step[:, column] = 1e-5
+        else:
+            shared[column - 6] = 1e-5
+        ahead = groups_of(network, layout, moved(state, layout, step, none, shared))
+        behind = groups_of(network, layout, moved(state, layout, -step, none, -shared))
+        for name, group in groups.items():
+            numeric = (behind[name].residual - ahead[name].residual) / 2e-5
+            if column < 6:
+                exact = group.by_photo[:, :, column]
+            else:
+                mine = group.columns == column - 6
+                exact = np.einsum("gis,gs->gi", group.by_shared, mine)
+            # The series of the inverse Jacobian of a rotation ends at the third order of the residual.
+            np.testing.assert_allclose(exact, numeric, atol=2e-6)
+
+
+def test_unknown_lever_arm_is_found():
+    """Found beside control; without it as well as a prior and the tilts of the camera tell it."""
+    block = make_block(columns=5, rows=2, noise=0.0, control=6)
+    n = len(block.centres)
+    arm, error = np.array([0.3, -0.2, 0.5]), np.array([0.04, -0.03, 0.06])
+    positions = Positions(np.arange(n), block.centres + block.rotations @ (arm + error), 0.02, arm)
+    free = replace(positions, lever_arm_sigma=math.inf)
+    result = adjust_block(replace(block.network, positions=free))
+    at = result.shared_names.index("lever arm x")
+    np.testing.assert_allclose(result.shared[at : at + 3], error, atol=1e-7)
+    s = result.statistics
+    total = sum(np.nansum(part.redundancy) for part in (s.image, s.control, s.positions))
+    assert total == pytest.approx(result.redundancy, abs=1e-6)
+    held = adjust_block(replace(block.network, positions=positions))
+    assert held.sigma0 > result.sigma0
+    # Without control only the tilts of a few degrees tell an arm from a shift of the block; a prior holds it.
+    prior = replace(positions, lever_arm_sigma=0.1)
+    alone, known = (
+        adjust_block(replace(block.network, positions=p, control=None), PRIOR) for p in (free, prior)
+    )
+    assert known.statistics.shared_sigma[at + 2] < 0.1 < alone.statistics.shared_sigma[at + 2]
+
+
 def test_free_network_is_the_pseudoinverse():
     block = make_block(columns=3, rows=2, per_photo=44)
     result = adjust_block(block.network, PRIOR)
@@ -304,7 +364,8 @@ def test_damping_brings_a_bad_start_home():
     assert far.sigma0 == pytest.approx(near.sigma0, rel=1e-6)
 
 
-def test_gross_errors_in_all_kinds_are_found():
+@pytest.mark.parametrize("robust", ["snooping", "l1"])
+def test_gross_errors_in_all_kinds_are_found(robust):
     block = make_block(columns=4, rows=4, per_photo=60, gnss=0.05, control=8)
     rng = np.random.default_rng(5)
     image = block.network.image
@@ -322,7 +383,7 @@ def test_gross_errors_in_all_kinds_are_found():
         positions=replace(positions, xyz=place),
         control=replace(control, xyz=ground),
     )
-    result = adjust_block(network, BlockOptions(robust="snooping", scale_by="prior"))
+    result = adjust_block(network, BlockOptions(robust=robust, scale_by="prior"))
     clean = adjust_block(block.network, PRIOR)
     controlled = (clean.statistics.image.minimal_detectable * 1.5 < np.abs(direction)).any(axis=1)
     assert not np.any(result.used & bad & controlled)
@@ -386,36 +447,60 @@ def test_wrong_input_is_named():
 @pytest.mark.slow
 def test_two_hundred_blocks_agree_with_their_standard_deviations():
     """Empirical errors over simulations: chi-square at 1 % of the means, and of sigma0."""
-    squares, costs, redundancy, rejected = [], [], 0, 0
+    squares, costs, rejected = [], [], 0
     for seed in range(200):
-        block = make_block(gnss=0.05, control=5, free=FREE, noise_seed=seed, start=(0.2, 0.002), per_photo=30)
-        # Priors are observations: their values err too.
-        rng = np.random.default_rng([9, seed])
-        entry = block.network.cameras[0]
-        values = np.array(entry.camera.parameters)
-        names = entry.camera.parameter_names
-        values[names.index("p1")] += 1e-4 * rng.normal()
-        camera = entry.camera.with_parameters(values)
-        affine = np.array(camera.pixel_from_photo)
-        affine[:, 0] *= 1.0 + 1e-3 * rng.normal()
-        camera = replace(camera, pixel_from_photo=tuple(map(tuple, affine.tolist())))
-        network = replace(block.network, cameras=(BlockCamera(camera, FREE),))
+        block, network, truth = _simulated(seed)
         result = adjust_block(network, PRIOR)
         cofactors = result.statistics.cofactors
         k, j = 4, len(block.points) // 2
         turn = vector_from_rotation(block.rotations[k] @ result.rotations[k].T)
         error = np.concatenate([block.centres[k] - result.centres[k], turn])
+        point = block.points[j] - result.points[j]
+        names = result.shared_names
+        shared = result.shared - truth
+        at = names.index("boresight x")
+        shared[at:] = vector_from_rotation(
+            rotation_from_vector(truth[at:]).T @ result.solution.state.boresight
+        )
         squares.append(
             [
                 error @ np.linalg.solve(cofactors.photos[k], error),
-                (block.points[j] - result.points[j])
-                @ np.linalg.solve(cofactors.points[j], block.points[j] - result.points[j]),
+                point @ np.linalg.solve(cofactors.points[j], point),
+                shared @ np.linalg.solve(cofactors.shared, shared),
             ]
         )
         costs.append(result.test.statistic)
-        redundancy = result.redundancy
         rejected += not result.test.passed
-    for total, degrees in zip(np.sum(squares, axis=0), (1200, 600), strict=True):
-        assert chi2.ppf(0.005, degrees) < total < chi2.ppf(0.995, degrees)
-    assert chi2.ppf(0.005, 200 * redundancy) < np.sum(costs) < chi2.ppf(0.995, 200 * redundancy)
+    degrees = 200 * np.array([6, 3, len(names), result.redundancy])
+    totals = np.append(np.sum(squares, axis=0), np.sum(costs))
+    assert np.all(chi2.ppf(0.005, degrees) < totals)
+    assert np.all(totals < chi2.ppf(0.995, degrees))
     assert rejected <= 8  # binomial limit of 200 tests at 1 %
+
+
+def _simulated(seed):
+    """A block, its network with noise in every kind of observation, and the true shared unknowns."""
+    block = make_block(gnss=0.05, control=5, free=FREE, noise_seed=seed, start=(0.2, 0.002), per_photo=30)
+    n = len(block.centres)
+    rng = np.random.default_rng([9, seed])
+    # Priors are observations: their values err too.
+    entry = block.network.cameras[0]
+    values = np.array(entry.camera.parameters)
+    names = entry.camera.parameter_names
+    values[names.index("p1")] += 1e-4 * rng.normal()
+    camera = entry.camera.with_parameters(values)
+    affine = np.array(camera.pixel_from_photo)
+    aspect = 1e-3 * rng.normal()
+    affine[:, 0] *= 1.0 + aspect
+    camera = replace(camera, pixel_from_photo=tuple(map(tuple, affine.tolist())))
+    arm = 0.1 * rng.normal(size=3)
+    positions = replace(block.network.positions, lever_arm=arm, lever_arm_sigma=0.1)
+    beta = np.array([0.01, -0.02, 0.005])
+    turned = rotation_from_vector(1e-4 * rng.normal(size=(n, 3))) @ block.rotations
+    attitudes = Attitudes(np.arange(n), turned @ rotation_from_vector(beta), 1e-4, boresight=True)
+    network = replace(
+        block.network, cameras=(BlockCamera(camera, FREE),), positions=positions, attitudes=attitudes
+    )
+    true = dict(zip(names, entry.camera.parameters, strict=True))
+    own = [true[name] for name in names if name in FREE]
+    return block, network, np.concatenate([own, [1.0 / (1.0 + aspect) - 1.0], -arm, beta])

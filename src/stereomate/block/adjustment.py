@@ -169,7 +169,7 @@ def adjust_block(
     width = options.huber_width if options.robust != "none" else math.inf
     solution = run_loop(network, options, width=width, progress=progress)
     gross: tuple[GrossError, ...] = ()
-    if options.robust == "snooping":
+    if options.robust in ("snooping", "l1"):
         solution, gross = snoop(network, options, solution, progress)
         width = math.inf
     statistics = None

@@ -85,6 +85,11 @@ def find_defect(network: Network, used: NDArray[np.bool_] | None = None) -> Defe
     if positions is not None:
         moves = _place_moves(centres[positions.photo] - origin, extent)
         moves -= _absorbed(network, moves)
+        if not np.isfinite(positions.lever_arm_sigma):
+            arm = network.photographs.rotations[positions.photo]
+            arm = (arm - _absorbed(network, arm)).reshape(-1, 3)
+            flat = moves.reshape(-1, _ALL)
+            moves = (flat - arm @ np.linalg.lstsq(arm, flat, rcond=None)[0]).reshape(moves.shape)
         rows.append(moves[np.isfinite(positions.sigma)])
     turn = np.concatenate([np.zeros((3, 3)), extent * np.eye(3), np.zeros((3, 1))], axis=1)
     if attitudes is not None:

@@ -52,23 +52,29 @@ def groups_of(network: Network, layout: Layout, state: State) -> dict[str, Group
 def _positions(positions: Positions, layout: Layout, state: State) -> Group:
     photo = positions.photo
     g = len(photo)
-    arm = np.einsum("gij,gj->gi", state.rotations[photo], positions.lever_arm)
+    at = layout.lever_arm
+    known = positions.lever_arm if at < 0 else positions.lever_arm + state.shared[at : at + 3]
+    arm = np.einsum("gij,gj->gi", state.rotations[photo], known)
     computed = state.centres[photo] + arm
     by_photo = np.zeros((g, 3, 6))
     by_photo[:, [0, 1, 2], [0, 1, 2]] = 1.0
     by_photo[:, :, 3:] = -skew(arm)
-    columns = np.full((g, 6), -1)
-    by_shared = np.zeros((g, 3, 6))
+    wide = 6 if at < 0 else 9
+    columns = np.full((g, wide), -1)
+    by_shared = np.zeros((g, 3, wide))
+    if at >= 0:
+        columns[:, 6:] = at + np.arange(3)
+        by_shared[:, :, 6:] = state.rotations[photo]
     if len(layout.strips):
         assert positions.strip is not None
         for i, strip in enumerate(layout.strips.tolist()):
             rows = np.flatnonzero(positions.strip == strip)
             time = time_in_strip(positions, rows)
-            for at, first, value in ((0, layout.shift[i], np.ones(len(rows))), (3, layout.drift[i], time)):
+            for to, first, value in ((0, layout.shift[i], np.ones(len(rows))), (3, layout.drift[i], time)):
                 if first < 0:
                     continue
-                columns[rows, at : at + 3] = first + np.arange(3)
-                by_shared[rows[:, None], np.arange(3), at + np.arange(3)] = value[:, None]
+                columns[rows, to : to + 3] = first + np.arange(3)
+                by_shared[rows[:, None], np.arange(3), to + np.arange(3)] = value[:, None]
                 computed[rows] += value[:, None] * state.shared[first : first + 3]
     weight = 1.0 / positions.sigma**2
     residual = np.where(weight > 0.0, positions.xyz - computed, 0.0)

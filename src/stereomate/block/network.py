@@ -180,6 +180,8 @@ class Control:
 class Positions:
     """Observed positions of the antenna: ``X = X0 + R lever_arm + shift[strip] + drift[strip] (t - mean t)``.
 
+    A lever arm that nobody measured well is unknown too: one correction for the whole block, camera axes.
+
     Parameters
     ----------
     photo : ndarray of int, shape (g,)
@@ -196,6 +198,8 @@ class Positions:
         Whether each strip has an unknown shift, an unknown drift.
     shift_sigma : float
         Standard deviation of the prior (shift is 0), metres; infinite for none.
+    lever_arm_sigma : float
+        Standard deviation of the lever arm, metres: 0 holds it, infinite says that nothing is known of it.
     """
 
     photo: Integers
@@ -207,9 +211,14 @@ class Positions:
     shift: bool = False
     drift: bool = False
     shift_sigma: float = math.inf
+    lever_arm_sigma: float = 0.0
 
     def __post_init__(self) -> None:
         g = len(self.photo)
+        if not self.lever_arm_sigma >= 0.0:
+            raise InputError(
+                "must not be negative", field="positions.lever_arm_sigma", value=self.lever_arm_sigma
+            )
         _own(self, "photo", np.int64, (g,))
         _own(self, "xyz", np.float64, (g, 3))
         _own(self, "sigma", np.float64, (g, 3))

@@ -43,10 +43,12 @@ class BlockOptions:
     max_iterations : int
     relative_tolerance : float
         The loop ends when a step promises to lower the weighted sum of squares by less than this part of it.
-    robust : {"none", "huber", "snooping"}
+    robust : {"none", "huber", "snooping", "l1"}
         ``huber``: image points weighted down beyond `huber_width` standard deviations, all stay in.
         ``snooping``: the same to start with, then gross errors are taken out one after the other by the test
         of their standardized residuals, in all kinds of observations.
+        ``l1``: the sum of the absolute standardized residuals of all kinds is made small, what stands out
+        of that goes at once, and snooping ends it. For many gross errors, also in control and positions.
     huber_width : float
     free_network : {"none", "auto", "always"}
         Inner constraints over photographs and points in place of a datum: ``auto`` if there is none.
@@ -59,7 +61,7 @@ class BlockOptions:
 
     max_iterations: int = 50
     relative_tolerance: float = 1e-12
-    robust: Literal["none", "huber", "snooping"] = "none"
+    robust: Literal["none", "huber", "snooping", "l1"] = "none"
     huber_width: float = 2.0
     free_network: Literal["none", "auto", "always"] = "auto"
     statistics: bool = True
@@ -74,7 +76,7 @@ class BlockOptions:
         if not self.huber_width > 0.0:
             raise InputError("must be positive", field="huber_width", value=self.huber_width)
         for name, choices in (
-            ("robust", ("none", "huber", "snooping")),
+            ("robust", ("none", "huber", "snooping", "l1")),
             ("free_network", ("none", "auto", "always")),
             ("scale_by", ("estimated", "prior")),
         ):

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
+from stereomate.block.absolute import least_sum
 from stereomate.block.datum import find_defect
 from stereomate.block.loop import Progress, Solution, run_loop
 from stereomate.block.navigation import groups_of
@@ -140,6 +141,18 @@ class _Search:
             self.out[key] = largest
         return True
 
+    def remove_all(self, statistics: Statistics) -> None:
+        """Take out all that an L1 solution shows to be over the limit; its residuals are not scaled."""
+        scale = 1.0
+        if self.options.scale_by == "estimated":
+            values = np.abs(statistics.image.standardized)
+            scale = max(float(np.nanmedian(values)) / _MEDIAN_OF_NORMAL, 1e-12)
+        size = np.nan_to_num(statistics.image.standardized).max(axis=1)
+        self.used &= ~(size > self.limit * np.where(self.of_control, max(scale, 1.0), scale))
+        for key, value in self._other_sizes(statistics, 1.0 / max(scale, 1.0)):
+            if value > self.limit:
+                self.out[key] = value
+
     def _image_sizes(self, statistics: Statistics, scale: float) -> Array:
         """Largest standardized residual of each image observation; NaN for those that are not controlled.
 
@@ -230,10 +243,14 @@ def snoop(
     """
     search = _Search(network, options)
     try:
-        statistics = statistics_of(solution, options, options.huber_width)
+        if options.robust == "l1":
+            solution, statistics = least_sum(network, options, solution, progress)
+            search.remove_all(statistics)
+        else:
+            statistics = statistics_of(solution, options, options.huber_width)
+            search.remove(statistics, search.scale(statistics))
     except NotDeterminedError:
         return solution, ()
-    search.remove(statistics, search.scale(statistics))
     for _ in range(_PASSES):
         try:
             solution, statistics = _adjusted(search, solution, progress)

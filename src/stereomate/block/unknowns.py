@@ -37,7 +37,7 @@ class Layout:
     shift, drift : ndarray of int, shape (strips,)
         First of three columns of each strip, -1 for none; the strip itself is in `strips`.
     strips : ndarray of int
-    boresight : int
+    lever_arm, boresight : int
         First of three columns, -1 for none.
     prior_sigma : ndarray, shape (q,)
         Of each unknown, infinite for none.
@@ -50,6 +50,7 @@ class Layout:
     strips: Integers
     shift: Integers
     drift: Integers
+    lever_arm: int
     boresight: int
     prior_sigma: Array
 
@@ -65,7 +66,7 @@ class State:
     cameras : tuple of ndarray
         `camera_values` of each.
     shared : ndarray, shape (q,)
-        Shifts and drifts at their columns (the rest is not used).
+        Shifts, drifts and the correction of the lever arm at their columns (the rest is not used).
     boresight : ndarray, shape (3, 3)
     """
 
@@ -118,7 +119,7 @@ def packed_camera(camera: Camera, values: Array, chosen: Integers) -> tuple[Arra
 
 
 def layout_of(network: Network) -> Layout:
-    """Columns of the shared unknowns: cameras, then shifts and drifts of strips, then the boresight."""
+    """Columns of the shared unknowns: cameras, shifts and drifts of strips, lever arm, boresight."""
     names: list[str] = []
     sigma: list[float] = []
     first, chosen = [], []
@@ -142,6 +143,11 @@ def layout_of(network: Network) -> Layout:
                 columns[i] = len(names)
                 names += [f"strip {strip}: {what} {axis}" for axis in _AXES]
                 sigma += [positions.shift_sigma if what == "shift" else math.inf] * 3
+    lever_arm = -1
+    if positions is not None and positions.lever_arm_sigma > 0.0:
+        lever_arm = len(names)
+        names += [f"lever arm {axis}" for axis in _AXES]
+        sigma += [positions.lever_arm_sigma] * 3
     boresight = -1
     if network.attitudes is not None and network.attitudes.boresight:
         boresight = len(names)
@@ -155,6 +161,7 @@ def layout_of(network: Network) -> Layout:
         strips,
         shift.astype(np.int64),
         drift.astype(np.int64),
+        lever_arm,
         boresight,
         np.array(sigma, dtype=np.float64),
     )
