@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from stereomate.errors import InputError, NotDeterminedError
 from stereomate.geometry.rotations import rotation_from_vector
 from stereomate.relative.coplanarity import adjust_coplanarity
+from stereomate.relative.elements import dependent_elements
 from stereomate.relative.minimal import five_point
 from stereomate.relative.model import critical_cylinder, model_points
 from stereomate.relative.orientation import RelativeOptions, relative_orientation
@@ -354,3 +355,29 @@ def test_all_points_the_same():
 def test_bad_options(options):
     with pytest.raises(InputError):
         RobustOptions(**options)
+
+
+@pytest.mark.parametrize(("share", "wide"), [(0.0, 1.0), (0.05, 5.0), (0.12, 3.0)])
+def test_standard_deviations_hold_whatever_is_cut_off(share, wide):
+    """Points of real pairs have long tails: the cut must not flatter the noise, nor the elements."""
+    errors, inside, scatter = [], [], []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        left, right, pose, _ = aerial_pair(rng, 400, noise=0.3)
+        moving = rng.random(400) < share
+        right[moving] += rng.normal(0.0, 0.3 * wide, (np.count_nonzero(moving), 2))
+        search = RobustOptions(widening=1.0, seed=seed)
+        result = relative_orientation(
+            correspondences_from_photo(left, right, C, 0.3), RelativeOptions(search=search)
+        )
+        found = result.dependent()
+        truth = dependent_elements(pose, np.eye(5))
+        errors.append((found.values - truth.values) / found.standard_deviations)
+        inside.append(result.sampson_rms)
+        scatter.append(result.sampson_robust)
+    # The rms of 60 times 5 normalised errors, correlated within a pair.
+    assert 0.8 < float(np.sqrt(np.mean(np.square(errors)))) < 1.25
+    # Not below the noise of the good points, not above that of all points together.
+    everything = 0.3 * math.sqrt(1.0 + 0.5 * share * wide**2)
+    assert 0.97 * 0.3 < np.mean(inside) < 1.03 * everything
+    assert 0.97 * 0.3 < np.mean(scatter) < 1.03 * everything

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
-import subprocess
 from importlib import resources
 
 import numpy as np
@@ -18,30 +16,32 @@ from stereomate.relative.overcorrection import overcorrection_factor
 from stereomate.report.overcorrection_interactive import interactive_fragment, interactive_page
 
 SCRIPT = resources.files("stereomate.report") / "overcorrection_interactive.js"
-BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 SECTION = [[90.0, 1503.0], [-640.0, 1446.0], [700.0, 1480.0]]
 PROFILE = [[-900.0, 1450.0], [0.0, 1500.0], [900.0, 1400.0]]
 
 
-@pytest.mark.skipif(shutil.which("node") is None, reason="no node on this machine")
-def test_script_agrees_with_the_formula():
+@pytest.fixture(scope="module")
+def script(browser):
+    """A page in which the script is loaded and nothing else."""
+    page = browser.new_page()
+    page.set_content("<!doctype html><title>script</title>")
+    page.add_script_tag(content=SCRIPT.read_text(encoding="utf-8"))
+    yield page
+    page.close()
+
+
+def test_script_agrees_with_the_formula(script):
     rng = np.random.default_rng(8)
     sections = np.stack((rng.uniform(-900, 900, (50, 3)), rng.uniform(600, 2000, (50, 3))), axis=-1)
     sections = np.concatenate((sections, [[[0, 1500], [-450, 1350], [450, 1350]]]))
-    program = (
-        f"const s = require({str(SCRIPT)!r});"
-        "const out = JSON.parse(require('fs').readFileSync(0, 'utf8'))"
-        ".map((p) => { const r = s.construct(...p); return [r.n, r.side, r.centre, s.reading(r)]; });"
-        "console.log(JSON.stringify(out));"
+    results = script.evaluate(
+        """(all) => all.map((points) => {
+          const found = StereomateOverCorrection.construct(...points);
+          const n = Number.isFinite(found.n) ? found.n : null;
+          return [n, found.side, found.centre, StereomateOverCorrection.reading(found)];
+        })""",
+        sections.tolist(),
     )
-    done = subprocess.run(
-        ["node", "-e", program],
-        input=json.dumps(sections.tolist()),
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    results = json.loads(done.stdout)
     for section, (n, side, centre, reading) in zip(sections[:-1], results[:-1], strict=True):
         expected = overcorrection_factor(section)
         assert n == pytest.approx(expected, rel=1e-9)
@@ -53,14 +53,11 @@ def test_script_agrees_with_the_formula():
     assert "not determined" in results[-1][3]
 
 
-@pytest.mark.skipif(shutil.which("node") is None, reason="no node on this machine")
-def test_terrain_is_followed():
-    program = (
-        f"const s = require({str(SCRIPT)!r}); const p = {json.dumps(PROFILE)};"
-        "console.log(JSON.stringify([s.heightAt(p, 450), s.heightAt(p, -900), s.heightAt(p, 901)]));"
+def test_terrain_is_followed(script):
+    heights = script.evaluate(
+        "(profile) => [450, -900, 901].map((y) => StereomateOverCorrection.heightAt(profile, y))", PROFILE
     )
-    done = subprocess.run(["node", "-e", program], capture_output=True, text=True, check=True)
-    assert json.loads(done.stdout) == [1450.0, 1450.0, None]
+    assert heights == [1450.0, 1450.0, None]
 
 
 def test_fragment_is_self_contained():
@@ -82,10 +79,7 @@ def test_identifiers_are_plain_names(identifier):
         interactive_fragment(section_drawing(SECTION), identifier)
 
 
-@pytest.mark.slow
-def test_points_move_in_a_browser(tmp_path):
-    if BROWSER is None:
-        pytest.fail("Chromium is missing: apt-get install chromium (make test does)")
+def test_points_move_in_a_browser(tmp_path, browser):
     drawing = section_drawing(SECTION, profile=PROFILE)
     two = interactive_fragment(drawing, "first") + interactive_fragment(section_drawing(SECTION, 3), "second")
     moving = """<p id="log"></p><script>
@@ -109,20 +103,10 @@ def test_points_move_in_a_browser(tmp_path):
     </script>"""
     page = interactive_page(drawing).replace(interactive_fragment(drawing), two + moving)
     (tmp_path / "page.html").write_text(page, encoding="utf-8")
-    command = [
-        BROWSER,
-        "--headless",
-        "--no-sandbox",
-        "--disable-gpu",
-        f"--user-data-dir={tmp_path / 'profile'}",
-    ]
-    done = subprocess.run(
-        [*command, "--dump-dom", (tmp_path / "page.html").as_uri()],
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    log = json.loads(re.search(r'<p id="log">(.*?)</p>', done.stdout).group(1).replace("&amp;", "&"))
+    opened = browser.new_page()
+    opened.goto((tmp_path / "page.html").as_uri())
+    log = json.loads(opened.text_content("#log"))
+    opened.close()
     assert len(log["seen"]) == 4
     for event in log["seen"]:
         assert event["n"] == pytest.approx(overcorrection_factor(event["section"]), rel=1e-9)

@@ -39,10 +39,12 @@ def print_orientation(orientation: RelativeOrientation, given: RelativePose | No
         out.print(table(f"{kind} pair", heads, rows))
     unit = orientation.adjustment.correspondences.unit
     digits = 3 if unit == "px" else 4
-    rms = f"{orientation.sampson_rms:.{digits}f} {unit}"
+    used, all_points = (
+        f"{v:.{digits}f} {unit}" for v in (orientation.sampson_rms, orientation.sampson_robust)
+    )
     out.print(
-        f"Sampson distances {rms} rms, sigma0 {orientation.sigma0:.2f}, "
-        f"redundancy {orientation.adjustment.redundancy}",
+        f"Sampson distances {used} rms of the points used, {all_points} by the median of all points; "
+        f"sigma0 {orientation.sigma0:.2f}, redundancy {orientation.adjustment.redundancy}",
         highlight=False,
     )
     diagnosis = orientation.diagnosis

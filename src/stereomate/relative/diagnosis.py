@@ -54,7 +54,7 @@ class DiagnosisOptions:
     """
 
     largest_standard_deviation_deg: float = 2.0
-    critical_sigmas: float = 25.0
+    critical_sigmas: float = 16.0
     ambiguity: float = 25.0
     points: int = 200
     samples: int = 15
@@ -176,8 +176,9 @@ def diagnose(
         )
     elif _critical_sigmas(worst, _inflation(adjustment)) < options.critical_sigmas:
         reasons.append(
-            "the points lie on a critical surface (as a cylinder through both centres) within their noise: "
-            f"the elements are {_inflation(adjustment):.0f} times worse known together than each by itself"
+            "the points lie on a critical surface (as a cylinder through both centres) within their noise, "
+            "or in too small a part of the overlap: the elements are "
+            f"{_inflation(adjustment):.0f} times worse known together than each by itself"
         )
     ratio, no_parallax = _pure_rotation(chosen, variances, options)
     if no_parallax:

@@ -104,6 +104,15 @@ class RelativeOrientation:
         statistics = self.points()
         return float(np.sqrt(np.mean(statistics.sampson[statistics.used] ** 2)))
 
+    @property
+    def sampson_robust(self) -> float:
+        """Scatter of the Sampson distances of all points, also of those left out: 1.4826 times their median.
+
+        Unlike the root mean square of the points used it does not depend on where bad points are parted from
+        good ones.
+        """
+        return 1.4826 * float(np.median(np.abs(self.points().sampson)))
+
     def require_determined(self) -> RelativeOrientation:
         """This orientation.
 

@@ -62,8 +62,8 @@ def _about_the_base(base: NDArray[np.float64]) -> list[str]:
     said = []
     if base[0] < -0.5:
         said.append(
-            "the right photograph lies to the left of the left one: exchanged? The elements hold for the "
-            "order given"
+            "the right photograph lies to the left of the left one (exchanged? or stored upside down): the "
+            "elements hold for the order given"
         )
     if abs(base[2]) > _STEEP_BASE:
         inclination = math.degrees(math.asin(min(1.0, abs(float(base[2])))))

@@ -89,7 +89,9 @@ def table_record(
 
 def orientation_record(orientation: RelativeOrientation, determined: bool) -> dict[str, Any]:
     """Sigma0, redundancy, geometry and, where it is determined, the elements and the six-point picture."""
+    unit = orientation.adjustment.correspondences.unit
     record: dict[str, Any] = {
+        f"sampson_robust_{unit}": orientation.sampson_robust,
         "sigma0": orientation.sigma0,
         "redundancy": orientation.adjustment.redundancy,
     }
@@ -97,7 +99,6 @@ def orientation_record(orientation: RelativeOrientation, determined: bool) -> di
         record["geometry"] = _geometry(orientation.diagnosis)
     if not determined:
         return record
-    c = orientation.adjustment.correspondences
     record["base"] = orientation.pose.base.tolist()
     record["left_from_right"] = orientation.pose.left_from_right.tolist()
     for kind, elements in available_elements(orientation).items():
@@ -106,10 +107,10 @@ def orientation_record(orientation: RelativeOrientation, determined: bool) -> di
         {
             "number": p.number,
             "points": p.points,
-            f"y_parallax_{c.unit}": p.y_parallax,
-            f"standard_deviation_{c.unit}": p.standard_deviation,
+            f"y_parallax_{unit}": p.y_parallax,
+            f"standard_deviation_{unit}": p.standard_deviation,
         }
-        for p in six_points(orientation.pose, c, orientation.points())
+        for p in six_points(orientation.pose, orientation.adjustment.correspondences, orientation.points())
     ]
     return record
 

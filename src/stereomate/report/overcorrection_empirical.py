@@ -15,6 +15,7 @@ from stereomate.report.overcorrection_style import CIRCLE, INK, PERPENDICULAR, R
 
 FloatArray = NDArray[np.float64]
 _RULE_COLOURS: Final = ("#1f5fa8", "#d1600a", "#1a7044", "#7a3b9a", "#b3261e", "#555555")
+_MOST_NAMES: Final = 12
 _MARKERS: Final = ("o", "s", "^", "D", "v", "P")
 
 
@@ -87,7 +88,7 @@ def parallax_course(
         axes.set_xlabel("cycle")
         axes.set_ylabel("largest |y-parallax| in the model, m")
         axes.grid(axis="y", lw=0.3, alpha=0.6)
-        axes.legend(loc="lower left", fontsize=7)
+        axes.legend(loc="best", fontsize=7, frameon=True, framealpha=1.0, edgecolor="none")
         axes.set_title(title, fontsize=9)
     return figure
 
@@ -113,7 +114,10 @@ def _panel(
     for mask, marker in ((up, "^"), (~up, "v")):
         tips = places[mask, 1] + factor * parallaxes[mask]
         axes.plot(places[mask, 0], tips, marker, ms=2.4, color=PERPENDICULAR, mew=0)
-    for row in used:
+    # Points of many profiles lie side by side: then only those that are cleared have room for a name.
+    cleared = {step.point for step in run.procedure.clearing}
+    named = [row for row in used if len(used) <= _MOST_NAMES or run.model.names[row] in cleared]
+    for row in named:
         side = -1.0 if places[row, 0] < 0.5 * (extent[0] + extent[1]) else 1.0
         shift = 0.05 * (extent[1] - extent[0]) * side
         axes.text(

@@ -1,5 +1,5 @@
 // The drawing of the over-correction factor with points that can be dragged. Plain JavaScript, no library.
-// Geometry first (also run by node in the tests), then the picture.
+// Geometry first (the tests call it by itself), then the picture.
 "use strict";
 
 const StereomateOverCorrection = (() => {
@@ -182,5 +182,3 @@ const StereomateOverCorrection = (() => {
 
   return { construct, heightAt, mount, reading };
 })();
-
-if (typeof module !== "undefined") module.exports = StereomateOverCorrection;

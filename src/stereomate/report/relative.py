@@ -199,6 +199,7 @@ def six_point_picture(orientation: RelativeOrientation, title: str) -> Figure:
     correspondences = orientation.adjustment.correspondences
     places = model_points(orientation.pose, correspondences)[:, :2]
     used = statistics.used
+    zones = six_points(orientation.pose, correspondences, statistics)
     with figure_style():
         low, high = np.percentile(places[used], [0.5, 99.5], axis=0)
         low, high = np.minimum(low, [-0.08, -0.1]), np.maximum(high, [1.08, 0.1])
@@ -206,20 +207,19 @@ def six_point_picture(orientation: RelativeOrientation, title: str) -> Figure:
         # Room for the labels on both sides of the model, whatever its shape.
         tall = min(6.0, 4.2 * size[1] / size[0])
         wide = tall * size[0] / size[1] + 3.0
+        # The centres are named on the side of the base where points 1 and 2 are not (text stands above).
+        above = zones[0].place[1] * tall * 72.0 / size[1] < -12.0
         figure = Figure(figsize=(wide, tall + 1.1), layout="constrained")
         axes = figure.subplots()
         dot = 1.8 if np.count_nonzero(used) > _MOST_NAMES else 5.0
         axes.plot(*places[used].T, ".", color="#b9c6d6", markersize=dot, zorder=1)
-        zones = six_points(orientation.pose, correspondences, statistics)
-        # The centres are named on the side of the base where points 1 and 2 are not.
-        side = 1 if zones[0].place[1] < 0.0 else -1
         axes.plot([0.0, 1.0], [0.0, 0.0], color=INK, linewidth=0.8, zorder=2)
         for x, label in ((0.0, "left centre"), (1.0, "right centre")):
             axes.plot(x, 0.0, "+", color=INK, markersize=9, zorder=3)
             axes.annotate(
                 label,
                 (x, 0.0),
-                (0, 7 if side > 0 else -13),
+                (0, 7 if above else -13),
                 textcoords="offset points",
                 ha="center",
                 fontsize=6.5,
