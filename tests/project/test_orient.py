@@ -8,7 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pyogrio
 import pytest
+import shapely
 import tifffile
 from run_survey import write_tiny
 
@@ -16,9 +18,10 @@ from stereomate.errors import NotDeterminedError, ProjectError
 from stereomate.project import load
 from stereomate.project.orient import OrientOptions, OrientResult, orient
 from stereomate.project.orient_files import ORIENTATION, TABLES
+from stereomate.project.orient_layers import LAYERS
 from stereomate.project.orient_report import write_orient_report
 
-SAME = ("adjustment.json", ORIENTATION, "oriented.toml", *TABLES)
+SAME = ("adjustment.json", ORIENTATION, "oriented.toml", LAYERS, *TABLES)
 STAGES = ("features", "pairs", "tie points", "start", "refinement", "adjustment")
 
 
@@ -59,6 +62,40 @@ def test_rendered_photographs_are_oriented_to_the_truth(survey: Path, whole: Ori
         shift = np.array(one.orientation.centre) - np.array(other.orientation.centre)
         assert np.abs(shift).max() < 0.3, one.name
     assert (whole.out / "orient.html").is_file()
+
+
+def test_layers_hold_photographs_points_and_residuals(whole: OrientResult) -> None:
+    path = whole.out / LAYERS
+    assert {name for name, _ in pyogrio.list_layers(path)} == {"photographs", "points", "residual_vectors"}
+    meta, _, geometry, fields = pyogrio.raw.read(path, layer="photographs")
+    centres = shapely.get_coordinates(shapely.from_wkb(geometry), include_z=True)
+    listed = dict(zip(meta["fields"], fields, strict=True))
+    record = {entry["name"]: entry for entry in whole.record["photographs"]}
+    for name, centre, rms in zip(listed["name"], centres, listed["image_rms_px"], strict=True):
+        np.testing.assert_allclose(centre, record[name]["position"], atol=1e-6)
+        assert rms == pytest.approx(record[name]["image_rms_px"])
+    # Over all photographs they are the rms of the block.
+    weight = np.array([record[name]["image_points"] for name in listed["name"]])
+    x, y = whole.record["summary"]["image_rms_px"].values()
+    mean = np.sqrt(np.average(listed["image_rms_px"] ** 2, weights=weight))
+    assert mean == pytest.approx(np.hypot(x, y) / np.sqrt(2.0), rel=1e-6)
+    meta, _, geometry, fields = pyogrio.raw.read(path, layer="residual_vectors")
+    listed = dict(zip(meta["fields"], fields, strict=True))
+    lines = shapely.get_coordinates(shapely.from_wkb(geometry), include_z=True).reshape(-1, 2, 3)
+    assert len(lines) == 6
+    length = np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1) / listed["exaggeration"]
+    # The map's scale differs from 1 by a thousandth or two.
+    stated = np.linalg.norm([listed["dx"], listed["dy"], listed["dz"]], axis=0)
+    np.testing.assert_allclose(length, stated, rtol=5e-3)
+    assert len(pyogrio.raw.read(path, layer="points")[2]) == whole.record["summary"]["tie_points"]
+
+
+def test_what_was_expected_stands_beside_what_was_found(whole: OrientResult) -> None:
+    expected = whole.record["expected"]
+    sigma = [entry["standard_deviation_m"] for entry in whole.record["photographs"]]
+    np.testing.assert_allclose(expected["found"]["centres_m"], np.median(sigma, axis=0), rtol=1e-6)
+    assert all(0.1 < ratio < 3.0 for ratio in expected["ratio"]["centres_m"])
+    assert "Expected before the flight" in (whole.out / "orient.html").read_text(encoding="utf-8")
 
 
 def test_stated_accuracy_holds(survey: Path, whole: OrientResult) -> None:

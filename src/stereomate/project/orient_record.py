@@ -16,6 +16,8 @@ from stereomate.forms import ORIENTATION
 from stereomate.frames.attitude import AttitudeConvention, written_from_axes
 from stereomate.frames.transform import map_from_tangent
 from stereomate.project.orient_adjust import Adjusted
+from stereomate.project.orient_compare import comparisons, findings_of
+from stereomate.project.orient_expected import expected_accuracy, expected_finding
 from stereomate.project.orient_inputs import OrientInputs, heights_are_verified
 from stereomate.project.orient_measure import Measured
 
@@ -66,6 +68,8 @@ def adjustment_record(
 ) -> dict[str, Any]:
     """Everything of `adjustment.json`; no times, so that a run repeated gives the same bytes."""
     result = adjusted.result
+    expected = expected_accuracy(measured, adjusted)
+    comparison = comparisons(inputs, adjusted)
     x, y = result.rms_px
     used = result.used
     rays = np.bincount(result.network.image.photo[used], minlength=len(photos.names))
@@ -91,7 +95,13 @@ def adjustment_record(
             "image_rms_px": {"columns": _number(x), "rows": _number(y)},
             "gross_errors": len(result.gross_errors),
         },
-        "findings": [*_height_findings(inputs, adjusted), *_turned(inputs, adjusted), *adjusted.findings],
+        "findings": [
+            *_height_findings(inputs, adjusted),
+            *_turned(inputs, adjusted),
+            *adjusted.findings,
+            *expected_finding(expected),
+            *findings_of(comparison),
+        ],
         "measurement": {
             "pairs": len(measured.pairs),
             "pairs_oriented": sum(not pair.reasons for pair in measured.pairs),
@@ -103,6 +113,8 @@ def adjustment_record(
         "not_oriented": _not_oriented(inputs, measured, adjusted),
         "positions": _positions(inputs, adjusted),
         "control": _control(inputs, adjusted),
+        "expected": expected,
+        "comparison": comparison,
         "y_parallaxes": y_parallaxes(adjusted, photos.names),
         "correlations": [vars(c) for c in result.correlations],
         "gross_errors": [

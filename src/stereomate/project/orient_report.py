@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from stereomate.project.adjustment_report import (
 )
 from stereomate.project.orient import OrientResult
 from stereomate.report.orient_figures import block_figure, residual_figure
-from stereomate.report.page import Picture, ReportContent, Section, write_report
+from stereomate.report.page import Picture, ReportContent, Section, Table, write_report
 from stereomate.report.run_figures import svg_uri
 
 REPORT = "orient.html"
@@ -40,6 +41,7 @@ def orient_content(result: OrientResult) -> ReportContent:
         _cameras(result),
         *control_sections(record),
         photographs_section(record),
+        *_expected(record),
         *left_out_sections(record),
         gross_section(record),
         pairs_section(record),
@@ -53,6 +55,43 @@ def orient_content(result: OrientResult) -> ReportContent:
         footer=f"stereomate {__version__} · key {record['key'][:16]}",
         meta={"software": f"stereomate {__version__}"},
     )
+
+
+def _expected(record: dict[str, Any]) -> list[Section]:
+    """What was expected before the flight, beside what was found."""
+    expected = record.get("expected")
+    if expected is None:
+        return []
+    names = {
+        "centres_m": ("projection centres, m", "{:.4f}"),
+        "rotations_deg": ("rotations, °", "{:.5f}"),
+        "tie_points_m": ("tie points, m", "{:.4f}"),
+        "check_points_m": ("check points, m", "{:.4f}"),
+    }
+    rows = tuple(
+        (
+            text,
+            *(_text(v, form) for v in expected["expected"][name]),
+            *(_text(v, form) for v in expected["found"][name]),
+            *(_text(v, "{:.2f}") for v in expected["ratio"][name]),
+        )
+        for name, (text, form) in names.items()
+        if any(v is not None for v in expected["expected"][name])
+    )
+    headings = (
+        "median σ", "expected x", "y", "z", "found x", "y", "z", "found / expected x", "y", "z",
+    )  # fmt: skip
+    assumed = expected["assumed"]
+    words = (
+        "Expected: the flight as planned, cameras straight down over level ground, "
+        f"{assumed['tie_points_per_photograph']} tie points to a photograph of "
+        f"{assumed['image_sigma_px']:.2f} px, positions and control points as accurate as stated."
+    )
+    return [Section("Expected before the flight", (), (Table(headings, rows, words),))]
+
+
+def _text(value: float | None, form: str) -> str:
+    return "-" if value is None else form.format(value)
 
 
 def _block(result: OrientResult) -> Section:
