@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Literal, TypeVar
 
 import numpy as np
+import scipy  # its parts load when they are used
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 
 from stereomate.errors import InputError, NotDeterminedError
 
@@ -140,7 +140,9 @@ def adjust(
         iterations += 1
         scale, normal = _scaled_normal(design, weights)
         right = (design.T @ (weights * residuals)) / scale
-        step = cho_solve(cho_factor(normal + damping * np.eye(u), lower=True), right)
+        step = scipy.linalg.cho_solve(
+            scipy.linalg.cho_factor(normal + damping * np.eye(u), lower=True), right
+        )
         promised = float(right @ step)
         candidate = update(state, step / scale)
         new_residuals, new_design = linearise(candidate)
