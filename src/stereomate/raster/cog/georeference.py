@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import rasterio
-import tifffile
 from rasterio.enums import ColorInterp
 from rasterio.errors import CRSError, NotGeoreferencedWarning
 from rasterio.io import MemoryFile
@@ -64,6 +63,9 @@ def template_tags(
     """
     settings.current()
     data = _template(profile, georeference, statistics)
+    # Loaded while rasters are assembled, not while a run waits to begin.
+    import tifffile
+
     with tifffile.TiffFile(io.BytesIO(data)) as file:
         found = {tag.code: tag for tag in file.pages[0].tags if tag.code not in _STORAGE_TAGS}
         return {code: Tag.of_values(code, tag.dtype, tag.value) for code, tag in found.items()}
