@@ -9,7 +9,7 @@ JOBS ?= 2
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test test-real fast bounds bench lint types contract docs pictures lock clean
+.PHONY: demo test static test-real fast bounds bench lint types contract docs pictures lock clean
 
 $(VENV)/.core: requirements/core.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -36,7 +36,11 @@ $(VENV)/.installed: $(VENV)/.backend pyproject.toml
 demo: $(VENV)/.installed
 	$(BIN)/stereomate demo demo
 
-test: lint types contract docs fast bounds
+test: static fast bounds
+
+# What needs one core each, side by side.
+static: $(VENV)/.installed $(VENV)/.dev
+	@$(MAKE) --no-print-directory --output-sync=target -j $(JOBS) lint types contract docs
 
 # Tests in a real browser take Debian's; where that cannot be installed they say so and fail.
 $(VENV)/.browser: $(VENV)/.dev
