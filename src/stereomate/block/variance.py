@@ -99,6 +99,22 @@ def estimate_variance_components(
     return VarianceComponents(components, adjustment, iteration, converged)
 
 
+def components_of(adjustment: BlockAdjustment) -> tuple[VarianceComponent, ...]:
+    """Factors that an adjustment shows as it is: the first step of the iteration; none without statistics.
+
+    They are against the a priori standard deviations. Groups of too small a redundancy are left out.
+    """
+    found = []
+    for name, kind, axes in _PARTS:
+        reliability = _reliability(adjustment, kind)
+        if reliability is None:
+            continue
+        total, redundancy = _sums(reliability, axes)
+        if redundancy >= _LEAST_REDUNDANCY:
+            found.append(VarianceComponent(name, float(np.sqrt(total / redundancy)), redundancy))
+    return tuple(found)
+
+
 def _reliability(adjustment: BlockAdjustment, kind: str) -> Reliability | None:
     found: Reliability | None = getattr(adjustment.statistics, kind, None)
     return found

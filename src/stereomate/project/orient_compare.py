@@ -1,0 +1,134 @@
+"""The same adjustment seen in other ways: variance components, a shift of the positions, in the map grid."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from stereomate.block.adjustment import BlockAdjustment
+from stereomate.block.in_grid import GridComparison, Method, compare_in_grid
+from stereomate.block.systematic import find_systematic_shift
+from stereomate.block.variance import components_of
+from stereomate.errors import StereomateError
+from stereomate.frames.heights import HeightSystem
+from stereomate.frames.mapframe import MapFrame
+from stereomate.frames.tangent import TangentFrame
+from stereomate.project.orient_adjust import Adjusted
+from stereomate.project.orient_inputs import OrientInputs
+
+_METHODS: Final[tuple[Method, ...]] = ("P1", "M2", "M3")
+_C: Final = "principal_distance_mm"
+_DIGITS: Final = 4
+
+
+def comparisons(inputs: OrientInputs, adjusted: Adjusted) -> dict[str, Any]:
+    """What `adjustment.json` holds under ``comparison``.
+
+    ``variance_components``: factors of the standard deviations of each kind of observations.
+    ``positions_shift``: a shift common to all positions against control, with its likely cause.
+    ``in_grid``: the same block adjusted in the map grid as other programs do it (Ressl 2002), with
+    curvature correction alone (P1), scaled heights (M2) or scaled principal distance (M3), the latter held
+    and free: grid adjustment minus rigorous one, metres.
+    """
+    result = without_gross_errors(adjusted.result)
+    tangent, frame = inputs.tangent, inputs.frame
+    found: dict[str, Any] = {
+        "variance_components": [
+            {"group": c.group, "factor": _rounded(c.factor), "redundancy": _rounded(c.redundancy)}
+            for c in components_of(adjusted.result)
+        ]
+    }
+    if not adjusted.has_datum or tangent is None or frame.is_geographic:
+        return found
+    level = MapFrame(frame.crs, HeightSystem.ellipsoidal())
+    shift = _shift(result, tangent, level)
+    if shift is not None:
+        found["positions_shift"] = shift
+    found["in_grid"] = _in_grid(result, tangent, level)
+    return found
+
+
+def findings_of(comparison: dict[str, Any]) -> list[str]:
+    """What a reader must know of it."""
+    lines = []
+    shift = comparison.get("positions_shift")
+    if shift is not None and shift["cause"]:
+        lines.append(f"positions against control: {shift['cause']}")
+    return lines
+
+
+def without_gross_errors(result: BlockAdjustment) -> BlockAdjustment:
+    """The adjustment over the network of what was used: another one need not search again."""
+    image = result.network.image
+    used = result.used
+    if used.all() and not result.gross_errors:
+        return result
+    thinned = replace(
+        image, photo=image.photo[used], point=image.point[used], xy=image.xy[used], sigma=image.sigma[used]
+    )
+    network = replace(result.solution.prepared.network, image=thinned)
+    fixed = result.network.photographs.fixed
+    network = replace(network, photographs=replace(network.photographs, fixed=fixed))
+    return replace(
+        result,
+        network=network,
+        options=replace(result.options, robust="none"),
+        residuals=result.residuals[used],
+        used=np.ones(int(used.sum()), np.bool_),
+    )
+
+
+def _shift(result: BlockAdjustment, tangent: TangentFrame, frame: MapFrame) -> dict[str, Any] | None:
+    network = result.network
+    if network.positions is None or network.control is None:
+        return None
+    assert network.control.check is not None
+    if (network.control.check | ~np.isfinite(network.control.sigma).any(axis=1)).all():
+        return None
+    found = find_systematic_shift(result, tangent, frame)
+    return {
+        "east_north_up_m": [_rounded(v) for v in found.shift],
+        "sigma_m": [_rounded(v) for v in found.sigma],
+        "significant": found.significant.tolist(),
+        "grid_excess_m": _rounded(found.grid_excess_m),
+        "cause": found.cause,
+    }
+
+
+def _in_grid(result: BlockAdjustment, tangent: TangentFrame, frame: MapFrame) -> list[dict[str, Any]]:
+    rows = []
+    own = {n: s for entry in result.network.cameras for n, s in entry.free.items() if n != _C}
+    for free in ({}, {_C: math.inf}):
+        for method in _METHODS:
+            try:
+                found = compare_in_grid(result, tangent, frame, method, {**own, **free})
+            except StereomateError as error:
+                rows.append({"method": method, "principal_distance": _word(free), "failed": str(error)})
+                continue
+            rows.append(_row(found, _word(free)))
+    return rows
+
+
+def _word(free: dict[str, float]) -> str:
+    return "free" if free else "held"
+
+
+def _row(found: GridComparison, word: str) -> dict[str, Any]:
+    return {
+        "method": found.method,
+        "principal_distance": word,
+        "principal_distance_mm": _rounded(found.principal_distance_mm),
+        "points_mean_m": [_rounded(v) for v in found.points],
+        "points_rms_m": [_rounded(v) for v in found.points_rms],
+        "centres_mean_m": [_rounded(v) for v in found.centres],
+        "centres_rms_m": [_rounded(v) for v in found.centres_rms],
+        "image_rms_px": _rounded(found.rms_px),
+        "converged": found.adjustment.converged,
+    }
+
+
+def _rounded(value: float) -> float | None:
+    return round(float(value), _DIGITS) if math.isfinite(value) else None
