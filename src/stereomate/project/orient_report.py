@@ -17,6 +17,7 @@ from stereomate.project.adjustment_report import (
     pairs_section,
     photographs_section,
 )
+from stereomate.project.compare_report import comparison_sections
 from stereomate.project.orient import OrientResult
 from stereomate.report.orient_figures import block_figure, residual_figure
 from stereomate.report.page import Picture, ReportContent, Section, Table, write_report
@@ -42,6 +43,7 @@ def orient_content(result: OrientResult) -> ReportContent:
         *control_sections(record),
         photographs_section(record),
         *_expected(record),
+        *comparison_sections(record),
         *left_out_sections(record),
         gross_section(record),
         pairs_section(record),
