@@ -88,8 +88,8 @@ def adjusted_check_points(record: Mapping[str, Any]) -> CheckPoints | None:
 
 def adjustment_section(record: Mapping[str, Any]) -> Section:
     """The orientation and its statistics as one part of the report of a run."""
-    said = "; ".join(f"{label}: {text}" for label, text in orientation_facts(record))
-    tables = [cameras_table(record)]
+    facts = Table(("adjustment", "result"), tuple(orientation_facts(record)))
+    tables = [facts, cameras_table(record)]
     for part in (
         *control_sections(record),
         *left_out_sections(record),
@@ -99,7 +99,7 @@ def adjustment_section(record: Mapping[str, Any]) -> Section:
         tables += part.tables
     gross = gross_section(record)
     paragraphs = (
-        f"{said}.",
+        f"From the block adjustment of adjustment.json, key {record['key'][:16]}.",
         *(f"Gross errors: {text}" for text in gross.paragraphs),
         *pairs_section(record).paragraphs,
     )
@@ -244,11 +244,12 @@ def photographs_section(record: Mapping[str, Any]) -> Section:
                 *(number_text(v, "{:.3f}") for v in photo["standard_deviation_m"]),
                 *(number_text(v, "{:.4f}") for v in photo["standard_deviation_deg"]),
                 str(photo["image_points"]),
+                number_text(photo.get("image_rms_px"), "{:.2f}"),
             )
         )
     headings = (
         "photograph", "x", "y", "z", "ω°", "φ°", "κ°", "σx m", "σy m", "σz m",
-        "σ° x", "σ° y", "σ° z", "points",
+        "σ° x", "σ° y", "σ° z", "points", "rms px",
     )  # fmt: skip
     caption = record["frame"].get("angles", "") + "; standard deviations along and about the tangent axes."
     return Section("Photographs", tables=(Table(headings, tuple(rows), caption),))
@@ -260,7 +261,7 @@ def left_out_sections(record: Mapping[str, Any]) -> list[Section]:
     if not left:
         return []
     rows = tuple((entry["name"], entry["reason"]) for entry in left)
-    return [Section("Not oriented", tables=(Table(("photograph", "reason"), rows),))]
+    return [Section("Not oriented", tables=(Table(("photograph", "reason"), rows, "Not oriented"),))]
 
 
 def gross_section(record: Mapping[str, Any]) -> Section:
@@ -275,7 +276,11 @@ def gross_section(record: Mapping[str, Any]) -> Section:
         )
         for error in errors[:20]
     )
-    caption = f"The {len(rows)} largest of {len(errors)}; all are in image_points.parquet." if rows else ""
+    caption = (
+        f"Gross errors taken out: the {len(rows)} largest of {len(errors)}, all are in image_points.parquet."
+        if rows
+        else ""
+    )
     headings = ("kind", "where", "size (px, m or rad)", "standardized")
     tables = (Table(headings, rows, caption),) if rows else ()
     return Section("Gross errors taken out", ("None were found.",) if not rows else (), tables)
@@ -293,7 +298,11 @@ def pairs_section(record: Mapping[str, Any]) -> Section:
         )
     worst = sorted(pairs, key=lambda p: -(p["rms_px"] or 0.0))[:15]
     rows = tuple((p["left"], p["right"], str(p["points"]), number_text(p["rms_px"], "{:.2f}")) for p in worst)
-    table = Table(("left", "right", "points", "rms px"), rows, "The largest; all are in adjustment.json.")
+    table = Table(
+        ("left", "right", "points", "rms px"),
+        rows,
+        "y-parallaxes that remain: the largest, all are in adjustment.json.",
+    )
     return Section("Pairs", (words,), (table,) if rows else ())
 
 

@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 ORIENTATION: Final = "orientation.csv"
 ADJUSTMENT: Final = "adjustment.json"
 ORIENTED: Final = "oriented.toml"
-TABLES: Final = ("photographs.parquet", "points.parquet", "image_points.parquet")
+TABLES: Final = ("photographs.parquet", "points.parquet", "image_points.parquet", "pairs.parquet")
 
 _MEANINGS: Final = {
     "x": "map coordinate of the project (of the model without a datum)",
@@ -54,8 +54,12 @@ _MEANINGS: Final = {
     "detectable_col": "minimal detectable error, pixels",
     "detectable_row": "minimal detectable error, pixels",
     "point_shift_m": "motion of the point by its minimal detectable error, the larger axis",
+    "photo_shift_m": "motion of the projection centre by its minimal detectable error, the larger axis",
     "used": "took part in the adjustment",
     "rays": "photographs that see it",
+    "points": "tie points that both photographs show",
+    "rms_px": "y-parallaxes that the orientation leaves, root mean square, pixels",
+    "image_rms_px": "image residuals of a coordinate, root mean square, pixels",
 }
 
 
@@ -73,7 +77,7 @@ def write_results(
     if adjusted.has_datum:
         written += [_orientation(out / ORIENTATION, inputs, photos), out / ORIENTED]
         write_whole(out / ORIENTED, [oriented_project(inputs, adjusted, surface is not None).encode()])
-    written += _tables(out, inputs, adjusted, photos)
+    written += _tables(out, inputs, adjusted, photos, record)
     if adjusted.has_datum:
         written.append(write_orient_layers(out / LAYERS, inputs, adjusted, photos, record))
     return written
@@ -92,7 +96,9 @@ def _orientation(path: Path, inputs: OrientInputs, photos: OrientedPhotos) -> Pa
     return path
 
 
-def _tables(out: Path, inputs: OrientInputs, adjusted: Adjusted, photos: OrientedPhotos) -> list[Path]:
+def _tables(
+    out: Path, inputs: OrientInputs, adjusted: Adjusted, photos: OrientedPhotos, record: dict[str, Any]
+) -> list[Path]:
     result = adjusted.result
     statistics = result.statistics
     n, m = len(photos.names), len(result.used)
@@ -103,6 +109,8 @@ def _tables(out: Path, inputs: OrientInputs, adjusted: Adjusted, photos: Oriente
     columns |= dict(zip(("sx", "sy", "sz"), sigma[:, :3].T, strict=True))
     degrees = np.degrees(sigma[:, 3:])
     columns |= dict(zip(("s_rotation_x", "s_rotation_y", "s_rotation_z"), degrees.T, strict=True))
+    rms = [entry["image_rms_px"] for entry in record["photographs"]]
+    columns["image_rms_px"] = np.array([math.nan if v is None else v for v in rms])
     write_parquet(out / TABLES[0], columns, _MEANINGS)
     points = result.points
     if adjusted.has_datum and inputs.tangent is not None:
@@ -133,7 +141,13 @@ def _tables(out: Path, inputs: OrientInputs, adjusted: Adjusted, photos: Oriente
     for name, values in pairs.items():
         columns[f"{name}_col"], columns[f"{name}_row"] = values.T
     columns["point_shift_m"] = (nothing if statistics is None else statistics.on_point).max(axis=1)
+    columns["photo_shift_m"] = (nothing if statistics is None else statistics.on_photo).max(axis=1)
     write_parquet(out / TABLES[2], columns, _MEANINGS)
+    parallaxes = record["y_parallaxes"]
+    columns = {key: [pair[key] for pair in parallaxes] for key in ("left", "right")}
+    columns["points"] = np.array([pair["points"] for pair in parallaxes], dtype=np.int64)
+    columns["rms_px"] = np.array([pair["rms_px"] for pair in parallaxes], dtype=np.float64)
+    write_parquet(out / TABLES[3], columns, _MEANINGS)
     return [out / name for name in TABLES]
 
 

@@ -47,6 +47,7 @@ def orient_content(result: OrientResult) -> ReportContent:
         *left_out_sections(record),
         gross_section(record),
         pairs_section(record),
+        _correlations(record),
         Section("What was given", items=tuple(record["notes"])),
     ]
     return ReportContent(
@@ -90,6 +91,18 @@ def _expected(record: dict[str, Any]) -> list[Section]:
         f"{assumed['image_sigma_px']:.2f} px, positions and control points as accurate as stated."
     )
     return [Section("Expected before the flight", (), (Table(headings, rows, words),))]
+
+
+def _correlations(record: dict[str, Any]) -> Section:
+    """Unknowns that the block hardly tells apart."""
+    title = "Correlations over 95 %"
+    found = sorted(record["correlations"], key=lambda c: -abs(c["value"]))
+    if not found:
+        return Section(title, ("None.",))
+    rows = tuple((c["first"], c["second"], f"{c['value']:+.3f}", str(c["count"])) for c in found[:30])
+    caption = f"{len(found)} pairs of unknowns; all are in adjustment.json." if len(found) > 30 else ""
+    headings = ("unknown", "unknown", "largest correlation", "photographs")
+    return Section(title, (), (Table(headings, rows, caption),))
 
 
 def _text(value: float | None, form: str) -> str:
