@@ -1,6 +1,6 @@
 """Make the pictures of the viewer's page from a demo: ``python docs/make_viewer_pictures.py DEMO_FOLDER``.
 
-Needs Chromium and the development requirements.
+Needs Chromium and the development requirements, and `stereomate heights` run on the demo's products.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import uvicorn
 from PIL import Image, ImageDraw, ImageFont
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Browser, Page, sync_playwright
 
 from stereomate.stereo.product import read_products
 from stereomate.viewer.server import application
@@ -43,12 +43,14 @@ def main(folder: Path) -> None:
         with sync_playwright() as playwright:
             browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
             page = browser.new_page(viewport={"width": 1000, "height": 650})
-            page.goto(f"http://127.0.0.1:{listener.getsockname()[1]}/")
+            address = f"http://127.0.0.1:{listener.getsockname()[1]}/"
+            page.goto(address)
             settle(page)
             modes(page)
             measuring(page)
             layers(page)
             sheet(page)
+            phone(browser, address)
             browser.close()
     finally:
         server.should_exit = True
@@ -114,7 +116,7 @@ def measuring(page: Page) -> None:
     page.keyboard.press("Enter")
     page.mouse.move(300, 380)
     settle(page)
-    page.evaluate("stereomate.measurements.selected = 1; stereomate.panel.table()")
+    page.evaluate("stereomate.measurements.selected = 1; stereomate.panel.table.draw()")
     save(page, "viewer_measuring.jpg")
 
 
@@ -128,6 +130,30 @@ def layers(page: Page) -> None:
     time.sleep(2)
     settle(page)
     save(page, "viewer_layers.jpg")
+    if page.evaluate("stereomate.product.objects"):
+        page.evaluate(
+            "async () => { for (const id of ['homogeneity', 'contours', 'photographs', 'points'])"
+            " await stereomate.layers.toggle(id, false);"
+            f" await stereomate.layers.toggle('objects', true); stereomate.setMode('half-colour'); {VIEW} }}"
+        )
+        page.mouse.move(340, 300)
+        settle(page)
+        save(page, "viewer_objects.jpg")
+
+
+def phone(browser: Browser, address: str) -> None:
+    """A narrow touch screen."""
+    context = browser.new_context(viewport={"width": 390, "height": 760}, has_touch=True, is_mobile=True)
+    page = context.new_page()
+    page.goto(address)
+    settle(page)
+    page.evaluate(VIEW)
+    page.touchscreen.tap(190, 330)
+    settle(page)
+    page.click("#panel-toggle")
+    settle(page)
+    save(page, "viewer_phone.jpg")
+    context.close()
 
 
 def sheet(page: Page) -> None:
@@ -141,6 +167,8 @@ def sheet(page: Page) -> None:
     settle(page)
     page.click("#print")
     page.emulate_media(media="print")
+    # what an A4 sheet holds between its margins
+    page.set_viewport_size({"width": 1047, "height": 718})
     save(page, "viewer_sheet.jpg")
 
 

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import shutil
 
 import numpy as np
 import pytest
 from browsing import Opened, serving, wait
+from written_surface import write_surface_file
 
 from stereomate.frames.transform import map_from_tangent, tangent_from_map
+from stereomate.stereo.surface_bands import ABOVE, BANDS, SIGMA
 from stereomate.terrain.intersection import ground_distances
+from stereomate.viewer.site import Site
 
 TOGGLE_ALL = """async (on) => {
   for (const [id] of stereomate.layers.available()) await stereomate.layers.toggle(id, on);
@@ -498,6 +503,40 @@ def test_layers_and_dropped_features(fresh, product, tmp_path):
     assert fresh.errors == []
 
 
+@pytest.mark.slow
+def test_heights_of_objects_in_the_page(browser, run_folder, product, tmp_path):
+    """The layer of a matched surface: colours from the threshold on, legend, readout; in a link."""
+    folder = tmp_path / "out"
+    shutil.copytree(run_folder, folder)
+    cols, rows = product.job.grid.size
+    values = np.zeros((rows, cols, len(BANDS)), np.float32)
+    block = np.s_[rows // 2 - 20 : rows // 2 + 20, cols // 2 - 20 : cols // 2 + 20]
+    values[(*block, ABOVE)], values[(*block, SIGMA)] = 9.0, 0.35
+    write_surface_file(product, folder / "surface.tif", values, 1)
+    site = Site([dataclasses.replace(product, folder=folder)])
+    with serving(site) as address:
+        context = browser.new_context(viewport={"width": 800, "height": 600})
+        opened = Opened(context.new_page())
+        opened.open(address)
+        page = opened.page
+        page.evaluate("for (const d of document.querySelectorAll('details')) d.open = true")
+        page.check("#layer-objects")
+        wait(page, "stereomate.renderer.layers.length === 1")
+        assert "Heights of objects" in page.locator("#legend").inner_text()
+        shown = "stereomate.layers.images()[0].image.data.filter((v, k) => k % 4 === 3 && v > 0).length"
+        assert page.evaluate(shown) == 40 * 40
+        page.fill("#least-height", "9.5")
+        assert page.evaluate(shown) == 0
+        page.fill("#least-height", "2")
+        page.mouse.move(*at_pixel(page, *middle(product)))
+        wait(page, "document.getElementById('readout').textContent.includes('9.0 ± 0.35 m')")
+        state = page.evaluate("stereomate.state().layers")
+        assert state == ["objects"]
+        assert opened.errors == []
+        context.close()
+    site.close()
+
+
 def test_print_sheet(fresh):
     page = fresh.page
     page.evaluate("window.print = () => { window.printed = true }")
@@ -551,7 +590,6 @@ def test_orthophoto_alone_and_several_products(browser, survey_folder, product, 
     from run_survey import make
 
     from stereomate.stereo.product import read_products
-    from stereomate.viewer.site import Site
 
     make(survey_folder / "project.toml", tmp_path / "out", agreement=False, stereo=False, threads=1)
     (plain,) = read_products(tmp_path / "out" / "stereo.json")

@@ -20,15 +20,13 @@ import numpy as np
 import pytest
 from browsing import serving
 from PIL import Image
+from written_surface import write_surface_file
 
 from stereomate.errors import FormatError, InputError
 from stereomate.frames.transform import map_from_map, tangent_from_map
 from stereomate.raster import open_photo
-from stereomate.raster.cog import Georeference, assemble_cog, encode_chunk
-from stereomate.stereo.matched_surface import surface_profile
 from stereomate.stereo.product import StereoProduct
-from stereomate.stereo.surface_bands import ABOVE, BANDS, JUMP, ORTHO_TAG, SIGMA
-from stereomate.tiles.plan import TilePlan
+from stereomate.stereo.surface_bands import ABOVE, BANDS, JUMP, SIGMA
 from stereomate.viewer.binary import decode_floats, encode_floats
 from stereomate.viewer.imagery import Stretch, stretch_of
 from stereomate.viewer.kept import KeptFiles
@@ -113,23 +111,6 @@ def test_the_highest_object_of_a_cell_counts(product, tmp_path, monkeypatch):
         block = values[r * step : (r + 1) * step, c * step : (c + 1) * step, ABOVE]
         assert above[r, c] == np.nanmax(block)
         assert sigma[r, c] == pytest.approx(above[r, c] + 100.0)
-
-
-def write_surface_file(product, path, values, step, ortho=None):
-    """A surface as `stereomate heights` writes it, of given values."""
-    grid, plan = product.job.grid, TilePlan((values.shape[1], values.shape[0]), 512, 2)
-    (chunk,) = plan.chunks
-    blob = encode_chunk(surface_profile(), plan, values)
-
-    class Blob:
-        def read(self, index, name, offset, size):
-            assert index == chunk.index
-            return blob[offset : offset + size]
-
-    a, b, x, d, e, y = grid.affine
-    tags = {ORTHO_TAG: ortho or product.files.hashes["ortho.tif"]}
-    place = Georeference(product.job.frame.crs, (a * step, b * step, x, d * step, e * step, y), tags)
-    assemble_cog(path, surface_profile(), plan, Blob(), "surface", place)
 
 
 def test_published_twice_and_never_over_other_things(published, site, tmp_path):

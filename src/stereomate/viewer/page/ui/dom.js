@@ -39,7 +39,11 @@ export function download(name, type, content) {
   setTimeout(() => URL.revokeObjectURL(link.href), 10000);
 }
 
-export const fixed = (value, digits = 2) => (Number.isFinite(value) ? value.toFixed(digits) : '–');
+export function fixed(value, digits = 2) {
+  if (!Number.isFinite(value)) return '–';
+  const text = value.toFixed(digits);
+  return Number(text) === 0 ? text.replace('-', '') : text;
+}
 export const signed = (value, digits = 2) => (Number.isFinite(value) ? (value >= 0 ? '+' : '−') + Math.abs(value).toFixed(digits) : '–');
 
 // Degrees with their letters, to a tenth of a millimetre or so.

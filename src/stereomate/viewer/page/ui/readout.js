@@ -38,7 +38,7 @@ export class Readout {
     const t = found.homogeneity;
     if (t) rows.push([`Objects of ${product.homogeneity[this.app.layers.index]} ${product.heightUnit}`, `t_x ${signed(100 * t[0], 1)} %, t_y ${signed(100 * t[1], 1)} %`]);
     const object = found.object;
-    if (object) rows.push(['Object here, matched', `${fixed(object[0], 1)} ± ${fixed(object[1], 1)} ${product.heightUnit}`]);
+    if (object) rows.push(['Object here, matched', `${fixed(object[0], 1)} ± ${fixed(object[1], 2)} ${product.heightUnit}`]);
     if (Number.isFinite(found.miss)) rows.push(['Rays miss by', `${fixed(found.miss, 3)} m`]);
     rows.push(['Photographs', found.photographs.map((k) => product.photographs[k]?.name ?? '–').join(' | ')]);
     const reasons = reasonsOf(found.flags);

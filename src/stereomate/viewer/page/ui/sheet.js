@@ -5,6 +5,9 @@ import { MODES } from '../view/modes.js';
 import { crsText } from './exchange.js';
 import { niceStep } from './layers.js';
 
+// Room for the picture, as in the style of the sheet.
+const SHEET_MM = [277, 150];
+
 // Picture of the view as it is drawn now.
 function picture(app) {
   app.renderer.draw(app.view, app.phase);
@@ -25,19 +28,38 @@ function ticks(app, box) {
     const [c, r] = product.pixelOf(x, y);
     return [box.x + box.width / 2 + (c - view.cx) * view.zoom, height / 2 + (r - view.cy) * view.zoom];
   };
-  const size = Math.max(box.width, height) / 70;
+  const size = Math.max(box.width, height) / 48;
   const inside = ([x, y]) => x >= box.x && x <= box.x + box.width && y >= 0 && y <= height;
   for (let x = Math.ceil(Math.min(...xs) / step) * step; x <= Math.max(...xs); x += step) {
     for (let y = Math.ceil(Math.min(...ys) / step) * step; y <= Math.max(...ys); y += step) {
       const [px, py] = at(x, y);
       if (!inside([px, py])) continue;
       parts.push(svg('path', { d: `M${px - size / 2},${py}H${px + size / 2}M${px},${py - size / 2}V${py + size / 2}`, stroke: '#fff', 'stroke-width': size / 10 }));
-      const label = svg('text', { x: px + size / 3, y: py - size / 3, 'font-size': size * 0.75, fill: '#fff', stroke: '#000', 'stroke-width': size / 12, 'paint-order': 'stroke' });
+      const label = svg('text', { x: px + size / 3, y: py - size / 3, 'font-size': size * 0.62, fill: '#fff', stroke: '#000', 'stroke-width': size / 8, 'paint-order': 'stroke' });
       label.textContent = `${x.toFixed(0)} ${y.toFixed(0)}`;
       parts.push(label);
     }
   }
   return parts;
+}
+
+// The legend as it is beside the picture: canvases are not copied with their pixels, so they become images.
+function legend() {
+  if ($('legend').hidden) return [];
+  const copy = element('div', { className: 'legend' });
+  copy.append(...[...$('legend').childNodes].map((node) => node.cloneNode(true)));
+  const drawn = $('legend').querySelectorAll('canvas');
+  copy.querySelectorAll('canvas').forEach((canvas, k) => {
+    canvas.replaceWith(element('img', { src: drawn[k].toDataURL(), alt: '' }));
+  });
+  return [copy];
+}
+
+// Denominator of the scale of the printed picture: as wide as an A4 sheet, or as high as there is room.
+function scaleNumber(metresWide, width, height) {
+  const printed = Math.min(SHEET_MM[0], SHEET_MM[1] * width / height) / 1000;
+  const rough = metresWide / printed, power = 10 ** Math.max(Math.floor(Math.log10(rough)) - 2, 0);
+  return (Math.round(rough / power) * power).toLocaleString('en');
 }
 
 export function printSheet(app) {
@@ -56,14 +78,14 @@ export function printSheet(app) {
   scale.append(text);
   drawing.append(arrow, scale);
   const glasses = MODES[app.view.mode].left ? 'Red glass before the left eye, cyan before the right one.' : '';
-  const legend = $('legend').hidden ? '' : $('legend').innerText.replaceAll('\n', ' · ');
+  const number = scaleNumber(width * perPixel, width, height);
   $('sheet').replaceChildren(
     element('h1', {}, product.title || product.name || 'Stereo-orthophoto'), drawing,
     element('div', { className: 'foot' },
-      element('div', {}, element('p', {}, `${MODES[app.view.mode].title}. ${glasses}`), element('p', {}, legend)),
+      element('div', {}, element('p', {}, `${MODES[app.view.mode].title}. ${glasses}`), ...legend()),
       element('div', {},
         element('p', {}, `${product.crs.name} (${crsText(product)}), ${product.crs.heights}; grid crosses in map units; arrow: true north. ` +
-          `Pixel ${product.grid.gsd} m, ${product.law.kind} law, exaggeration ${fixed(app.view.exaggeration, 1)}.`),
+          `Scale about 1 : ${number} on A4. Pixel ${product.grid.gsd} m, ${product.law.kind} law, exaggeration ${fixed(app.view.exaggeration, 1)}.`),
         element('p', {}, `${product.credits ? `${product.credits}. ` : ''}${product.software}`))));
   window.print();
 }
