@@ -13,7 +13,6 @@ import sqlite3
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
@@ -22,8 +21,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.errors import FormatError, InputError, StorageError
-from stereomate.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
 from stereomate.measurement import database_schema as schema
+from stereomate.measurement.database_rows import (
+    CameraRow,
+    ImageRow,
+    PairRow,
+    blob,
+    pair_geometry,
+    pair_pose,
+)
+from stereomate.measurement.database_work import forget, set_done
 from stereomate.measurement.features import Features
 from stereomate.measurement.matching import Matches
 from stereomate.measurement.tracks import TiePoints
@@ -32,46 +39,6 @@ Array = NDArray[np.float64]
 
 # COLMAP's quantisation of square roots of SIFT's sums.
 _DESCRIPTOR_UNIT: Final = 512.0
-# y down, z forward.
-_FLIP: Final = np.diag([1.0, -1.0, -1.0])
-
-
-@dataclass(frozen=True)
-class CameraRow:
-    """A camera as COLMAP writes it: number of the model, size, parameters in pixels."""
-
-    model: int
-    size_px: tuple[int, int]
-    parameters: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class ImageRow:
-    """A photograph: its number, name and the number of its camera."""
-
-    image_id: int
-    name: str
-    camera_id: int
-
-
-@dataclass(frozen=True)
-class PairRow:
-    """Points of two photographs that agree with an orientation, as rows of their features.
-
-    Attributes
-    ----------
-    first, second : int
-        Numbers of the photographs, in the order of `rows`.
-    rows : ndarray of int, shape (m, 2)
-    base, first_from_second : ndarray or None
-        Relative orientation in the first camera's frame (x right, y up); None where there is none.
-    """
-
-    first: int
-    second: int
-    rows: NDArray[np.int64]
-    base: Array | None = None
-    first_from_second: Array | None = None
 
 
 class MeasurementDatabase:
@@ -160,12 +127,12 @@ class MeasurementDatabase:
         changed = [k for k, row in before.items() if wanted.get(k, ImageRow(k, "", 0)).name != row.name]
         with self._writing() as connection:
             for number in changed:
-                _forget(connection, number)
+                forget(connection, number)
             for table in ("frame_data", "frames", "rigs", "cameras"):
                 connection.execute(f"DELETE FROM {table}")
             connection.executemany(
                 "INSERT INTO cameras VALUES (?, ?, ?, ?, ?, 1)",
-                [(k, c.model, *c.size_px, _blob(c.parameters, np.float64)) for k, c in cameras.items()],
+                [(k, c.model, *c.size_px, blob(c.parameters, np.float64)) for k, c in cameras.items()],
             )
             connection.executemany(
                 "INSERT INTO rigs VALUES (?, ?, ?)", [(k, k, schema.SENSOR_CAMERA) for k in cameras]
@@ -208,9 +175,9 @@ class MeasurementDatabase:
                         k,
                         cameras[k],
                         schema.SENSOR_CAMERA,
-                        _blob(value, np.float64),
-                        _blob([np.nan] * 9, np.float64),
-                        _blob([np.nan] * 3, np.float64),
+                        blob(value, np.float64),
+                        blob([np.nan] * 9, np.float64),
+                        blob([np.nan] * 3, np.float64),
                         schema.WGS84,
                     )
                     for k, value in positions.items()
@@ -229,7 +196,7 @@ class MeasurementDatabase:
     def set_done(self, kind: str, name: str, key: str, record: Mapping[str, Any]) -> None:
         """State that an item is finished."""
         with self._writing() as connection:
-            _set_done(connection, kind, name, key, record)
+            set_done(connection, kind, name, key, record)
 
     # ---- features
 
@@ -238,16 +205,16 @@ class MeasurementDatabase:
         points = np.column_stack([features.pixels, features.size_px / 2.0, features.angle])
         descriptors = np.clip(np.rint(features.descriptors * _DESCRIPTOR_UNIT), 0, 255)
         with self._writing() as connection:
-            _forget(connection, image_id, keep_image=True)
+            forget(connection, image_id, keep_image=True)
             connection.execute(
                 "INSERT INTO keypoints VALUES (?, ?, 4, ?)",
-                (image_id, len(points), _blob(points, np.float32)),
+                (image_id, len(points), blob(points, np.float32)),
             )
             connection.execute(
                 "INSERT INTO descriptors (image_id, type, rows, cols, data) VALUES (?, ?, ?, 128, ?)",
-                (image_id, schema.SIFT, len(points), _blob(descriptors, np.uint8)),
+                (image_id, schema.SIFT, len(points), blob(descriptors, np.uint8)),
             )
-            _set_done(connection, "features", str(image_id), key, record)
+            set_done(connection, "features", str(image_id), key, record)
 
     def features(self, image_id: int) -> Features:
         """Features of a photograph as they are kept: positions to single precision, descriptors to bytes.
@@ -300,13 +267,13 @@ class MeasurementDatabase:
         raw = np.column_stack([matches.left, matches.right])
         geometry: tuple[bytes | None, ...] = (None,) * 4
         if pair.base is not None and pair.first_from_second is not None:
-            geometry = _geometry(pair.base, pair.first_from_second)
+            geometry = pair_geometry(pair.base, pair.first_from_second)
         config = schema.DEGENERATE if pair.base is None else schema.CALIBRATED
         with self._writing() as connection:
             for table in ("matches", "two_view_geometries"):
                 connection.execute(f"DELETE FROM {table} WHERE pair_id = ?", (number,))
             connection.execute(
-                "INSERT INTO matches VALUES (?, ?, 2, ?)", (number, len(raw), _blob(raw, np.uint32))
+                "INSERT INTO matches VALUES (?, ?, 2, ?)", (number, len(raw), blob(raw, np.uint32))
             )
             essential, identity, quaternion, shift = geometry
             columns = schema.columns_of(connection, "two_view_geometries")
@@ -314,7 +281,7 @@ class MeasurementDatabase:
                 "pair_id": number,
                 "rows": len(pair.rows),
                 "cols": 2,
-                "data": _blob(pair.rows, np.uint32),
+                "data": blob(pair.rows, np.uint32),
                 "config": config,
                 "F": identity,
                 "E": essential,
@@ -328,7 +295,7 @@ class MeasurementDatabase:
                 f"INSERT INTO two_view_geometries ({listed}) VALUES ({marks})",
                 [values[name] for name in names],
             )
-            _set_done(connection, "pair", f"{pair.first}-{pair.second}", key, record)
+            set_done(connection, "pair", f"{pair.first}-{pair.second}", key, record)
 
     def pairs(self) -> tuple[PairRow, ...]:
         """All pairs with points that agree, in the order of their numbers."""
@@ -343,7 +310,7 @@ class MeasurementDatabase:
             found = np.frombuffer(data or b"", np.uint32).reshape(count, cols).astype(np.int64)
             base = turn = None
             if config == schema.CALIBRATED and quaternion and shift:
-                base, turn = _pose(quaternion, shift)
+                base, turn = pair_pose(quaternion, shift)
             pairs.append(PairRow(first, second, found, base, turn))
         return tuple(pairs)
 
@@ -365,7 +332,7 @@ class MeasurementDatabase:
         with self._writing() as connection:
             connection.execute("DELETE FROM stereomate_tie_points")
             connection.executemany("INSERT INTO stereomate_tie_points VALUES (?, ?, ?, ?, ?, ?)", rows)
-            _set_done(connection, "tie points", "", key, record)
+            set_done(connection, "tie points", "", key, record)
 
     def tie_points(self) -> TiePoints:
         """The tie points of the block as they were kept."""
@@ -386,64 +353,4 @@ class MeasurementDatabase:
         )
 
 
-def _blob(values: Any, kind: type[np.generic]) -> bytes:
-    return np.ascontiguousarray(values, dtype=kind).tobytes()
-
-
-def _set_done(
-    connection: sqlite3.Connection, kind: str, name: str, key: str, record: Mapping[str, Any]
-) -> None:
-    connection.execute(
-        "INSERT OR REPLACE INTO stereomate_done VALUES (?, ?, ?, ?)",
-        (kind, name, key, json.dumps(record, sort_keys=True)),
-    )
-
-
-def _forget(connection: sqlite3.Connection, image_id: int, keep_image: bool = False) -> None:
-    """Remove what hangs on a photograph: its features, pairs, tie points and what was finished."""
-    pairs = [
-        number
-        for (number,) in connection.execute(
-            "SELECT pair_id FROM matches UNION SELECT pair_id FROM two_view_geometries"
-        )
-        if image_id in schema.images_of_pair(number)
-    ]
-    for number in pairs:
-        first, second = schema.images_of_pair(number)
-        connection.execute("DELETE FROM matches WHERE pair_id = ?", (number,))
-        connection.execute("DELETE FROM two_view_geometries WHERE pair_id = ?", (number,))
-        connection.execute(
-            "DELETE FROM stereomate_done WHERE kind = 'pair' AND name = ?", (f"{first}-{second}",)
-        )
-    for table in ("keypoints", "descriptors", "stereomate_tie_points"):
-        connection.execute(f"DELETE FROM {table} WHERE image_id = ?", (image_id,))
-    connection.execute("DELETE FROM stereomate_done WHERE kind = 'tie points'")
-    connection.execute("DELETE FROM stereomate_done WHERE kind = 'features' AND name = ?", (str(image_id),))
-    if not keep_image:
-        connection.execute("DELETE FROM frame_data WHERE data_id = ?", (image_id,))
-        connection.execute("DELETE FROM pose_priors WHERE corr_data_id = ?", (image_id,))
-        connection.execute("DELETE FROM images WHERE image_id = ?", (image_id,))
-
-
-def _geometry(base: Array, first_from_second: Array) -> tuple[bytes, bytes, bytes, bytes]:
-    """E, an identity, quaternion (w, x, y, z) and shift of COLMAP's second camera from the first."""
-    second_from_first = _FLIP @ first_from_second.T @ _FLIP
-    shift = -second_from_first @ (_FLIP @ base)
-    x, y, z = shift
-    essential = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ second_from_first
-    return (
-        _blob(essential, np.float64),
-        _blob(np.eye(3), np.float64),
-        _blob(quaternion_from_rotation(second_from_first), np.float64),
-        _blob(shift, np.float64),
-    )
-
-
-def _pose(quaternion: bytes, shift: bytes) -> tuple[Array | None, Array | None]:
-    """Base and rotation of this package from COLMAP's; None for the identity that stands for nothing."""
-    t = np.frombuffer(shift, np.float64)
-    length = float(np.linalg.norm(t))
-    if not length > 0.0:
-        return None, None
-    turn = rotation_from_quaternion(np.frombuffer(quaternion, np.float64))
-    return _FLIP @ (-turn.T @ t / length), _FLIP @ turn.T @ _FLIP
+__all__ = ["CameraRow", "ImageRow", "MeasurementDatabase", "PairRow"]
