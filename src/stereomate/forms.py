@@ -100,13 +100,15 @@ def stereo_1_to_2(document: Document) -> Document:
 
 
 def stereo_2_to_3(document: Document) -> Document:
-    """The balance of the second form has no local part."""
-    products = [
-        {**product, "balance": balance and {"coefficients": balance, "local": []}}
-        for product in document["products"]
-        for balance in [product["balance"]]
-    ]
-    return {**document, "products": products}
+    """Balance without a local part, and seams at which brightness is not levelled."""
+
+    def migrated(product: Document) -> Document:
+        seams, balance = product["seams"], product["balance"]
+        if seams is not None:
+            seams = {**seams, "mixed": [{**line, "levels": []} for line in seams["mixed"]]}
+        return {**product, "seams": seams, "balance": balance and {"coefficients": balance, "local": []}}
+
+    return {**document, "products": [migrated(product) for product in document["products"]]}
 
 
 PROJECT: Final = Form("project file", section="project", may_be_absent=True)

@@ -124,7 +124,10 @@ def test_the_balance_of_the_second_form_has_no_local_part():
     document = json.loads((FROZEN / "stereo_2.json").read_text())
     after = forms.stereo_2_to_3(document)
     (old,), (new,) = document["products"], after["products"]
-    assert new == {**old, "balance": {"coefficients": old["balance"], "local": []}}
+    assert new["balance"] == {"coefficients": old["balance"], "local": []}
+    mixed = [{**line, "levels": []} for line in old["seams"]["mixed"]]
+    assert mixed
+    assert new["seams"] == {**old["seams"], "mixed": mixed}
     (product,) = read_products(FROZEN / "stereo_2.json")
     found = product.job.balance
     assert (found.coefficients[0][0], found.local) == (tuple(old["balance"][0][0]), ())

@@ -167,9 +167,11 @@ def test_balance_is_the_light_that_was_planted(planned):
 
 
 def seam_places(job, survey, count, reach=16):
-    """Places on seams, on open ground all around, with the models on both sides."""
+    """Places on seams of models with both eyes, on open ground all around, with the models on both sides."""
     found = []
     for line in job.seams.lines:
+        if min(job.models[m].right for m in line.models) < 0:
+            continue
         points = np.array(line.points)
         for at in points[np.linspace(0, len(points) - 1, 6).astype(int)][1:-1, :2]:
             offsets = np.array([(x, y) for x in (-reach, 0, reach) for y in (-reach, 0, reach)])

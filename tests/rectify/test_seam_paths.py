@@ -16,8 +16,11 @@ from stereomate.raster import Window
 from stereomate.rectify import arcs as on_edges
 from stereomate.rectify import junctions, seamlines
 from stereomate.rectify.disagreement import Disagreement
+from stereomate.rectify.layout import StereoModel
 from stereomate.rectify.seampolygons import region_polygons, shared_edges
 from stereomate.rectify.serving_ground import _absorb_small_regions, everywhere, law_reading_errors
+
+PAIR = StereoModel(0, 1)
 
 
 def test_reading_errors_are_the_limit_of_the_theory():
@@ -55,7 +58,7 @@ def test_a_seam_goes_around_a_building(monkeypatch):
     cost[20:40, 34:43] = 8.0
     label = np.zeros((60, 80), np.int32)
     label[:, 40:] = 1
-    moved = seamlines.improved_regions(scene(label.shape, cost, monkeypatch), (None, None), label, 1.0)
+    moved = seamlines.improved_regions(scene(label.shape, cost, monkeypatch), (PAIR,) * 2, label, 1.0)
     inside = moved[20:40, 34:43]
     assert (inside == inside[0, 0]).all()
     assert (moved != label).any()
@@ -69,7 +72,7 @@ def test_a_junction_leaves_a_building(monkeypatch):
     label = np.zeros((90, 90), np.int32)
     label[:45, 45:] = 1
     label[45:] = 2
-    moved = seamlines.improved_regions(scene(label.shape, cost, monkeypatch), (None,) * 3, label, 1.0)
+    moved = seamlines.improved_regions(scene(label.shape, cost, monkeypatch), (PAIR,) * 3, label, 1.0)
     inside = moved[38:50, 38:50]
     assert (inside == inside[0, 0]).all()
     assert set(np.unique(moved)) == {0, 1, 2}
@@ -86,7 +89,7 @@ def test_whatever_the_costs_regions_stay_whole(seed):
     label = np.argmin(np.hypot(*(at - seeds).transpose(3, 0, 1, 2)), axis=2).astype(np.int32)
     with pytest.MonkeyPatch.context() as patch:
         overviews = scene((rows, cols), rng.exponential(2.0, (rows, cols)), patch)
-        moved = seamlines.improved_regions(overviews, (None,) * 5, label, 1.0)
+        moved = seamlines.improved_regions(overviews, (PAIR,) * 5, label, 1.0)
     assert (np.unique(moved) == np.unique(label)).all()
     for k in np.unique(label):
         assert scipy.ndimage.label(moved == k)[1] <= scipy.ndimage.label(label == k)[1]
@@ -129,7 +132,7 @@ def test_any_grid_of_labels_has_seams(seed):
     rows, cols = label.shape
     with pytest.MonkeyPatch.context() as patch:
         overviews = scene(label.shape, rng.exponential(2.0, label.shape), patch)
-        moved = seamlines.improved_regions(overviews, (None,) * 12, label, 1.0)
+        moved = seamlines.improved_regions(overviews, (PAIR,) * 12, label, 1.0)
     assert moved.shape == label.shape
     assert np.isin(moved, label).all()
     polygons = region_polygons(moved, 2, (2 * cols, 2 * rows))
@@ -147,7 +150,7 @@ def test_two_junctions_as_one_where_a_way_follows_the_edge_of_their_corners(turn
     label[:, 41:] = label[30:, 33:] = 3
     label = np.ascontiguousarray(np.rot90(label, turns))
     cost = np.random.default_rng(turns).exponential(2.0, label.shape)
-    moved = seamlines.improved_regions(scene(label.shape, cost, monkeypatch), (None,) * 4, label, 1.0)
+    moved = seamlines.improved_regions(scene(label.shape, cost, monkeypatch), (PAIR,) * 4, label, 1.0)
     assert set(np.unique(moved)) == {0, 1, 2, 3}
     for k in range(4):
         assert scipy.ndimage.label(moved == k)[1] == 1
@@ -183,7 +186,7 @@ def test_a_line_without_a_way_stays(monkeypatch):
     label[:20, 20:] = 1
     label[20:] = 2
     overviews = scene(label.shape, np.full(label.shape, np.nan), monkeypatch)
-    moved = seamlines.improved_regions(overviews, (None,) * 3, label, 1.0)
+    moved = seamlines.improved_regions(overviews, (PAIR,) * 3, label, 1.0)
     np.testing.assert_array_equal(moved, label)
 
 

@@ -130,6 +130,33 @@ def test_pixels_beside_a_seam_are_weighted_means(tmp_path):
     assert np.abs(own - other).mean() > 20.0  # two photographs of noise
 
 
+def test_both_sides_of_a_levelled_seam_go_half_the_way(tmp_path):
+    """By its logarithm, falling off to the reach; nothing where both are mixed half and half."""
+    job = two_models(tmp_path)
+    rows = float(job.grid.size[1])
+    levels = ((12.0, 0.2, 0.2, 0.2, 0.0, 0.0, 0.0),) * 2
+    for width in (0.0, 6.0):
+        ends = ((SEAM, 0.0, width), (SEAM, rows, width))
+        plain, levelled = (
+            replace(job, seams=Seams(job.seams.polygons, (SeamLine((0, 1), ends, made),)))
+            for made in ((), levels)
+        )
+        window = Window(360, 100, 40, 30)
+        before, after = (np.array(rectify_window(j, window)[0].pixels, float) for j in (plain, levelled))
+        mates = [np.array(rectify_window(j, window)[1].pixels) for j in (plain, levelled)]
+        np.testing.assert_array_equal(*mates)  # its logarithms are 0
+        signed = np.arange(window.cols) + 0.5 + window.col0 - SEAM
+        d, m = np.abs(signed) / 12.0, np.abs(signed) / 6.0
+        half = np.where(d < 1.0, 0.5 * (1.0 - d * d * (3.0 - 2.0 * d)), 0.0) * 0.2
+        mixed = np.where((m < 1.0) & (width > 0.0), 0.5 * (1.0 - m * m * (3.0 - 2.0 * m)), 0.0)
+        factor = np.exp(np.where(signed < 0.0, half, -half) * (1.0 - 2.0 * mixed))[None, :, None]
+        dark = before < 200.0  # nothing is cut off at 255
+        np.testing.assert_allclose(after[dark], (before * factor)[dark], atol=0.51)
+        assert np.abs(after - before).max() > 3.0
+    record = json.loads(json.dumps(seams_record(levelled.seams)))
+    assert seams_from_record(record).lines == levelled.seams.lines
+
+
 def test_balance_multiplies_by_its_model(tmp_path):
     job = make_job(tmp_path)
     coefficients = tuple((0.1 + 0.02 * b, 0.04, -0.06, -0.2, -0.15, 0.05) for b in range(3))

@@ -105,18 +105,21 @@ def disagreement(
             continue
         pixels = []
         for k, p in enumerate(numbers):
-            values, valid = _photograph(overviews, p, window)
+            values, valid = photograph_of(overviews, p, window)
             shown[k] &= valid
             pixels.append(values * np.float32(scale))
         if numbers[0] == numbers[1]:
             continue
-        both = _photograph(overviews, numbers[0], window)[1] & _photograph(overviews, numbers[1], window)[1]
+        both = (
+            photograph_of(overviews, numbers[0], window)[1] & photograph_of(overviews, numbers[1], window)[1]
+        )
         c, q = _compared(pixels[0], pixels[1], both)
         colour, parallax = np.maximum(colour, c), np.maximum(parallax, q)
     return Disagreement(colour, parallax, _walls(overviews, window), shown[0], shown[1])
 
 
-def _photograph(overviews: Overviews, p: int, window: Window) -> tuple[NDArray[Any], Bools]:
+def photograph_of(overviews: Overviews, p: int, window: Window) -> tuple[NDArray[Any], Bools]:
+    """Pixels of a photograph as floats over a window of cells, and where it shows it."""
     overview = overviews.photographs[p]
     if overview is None:
         shape = (window.rows, window.cols)

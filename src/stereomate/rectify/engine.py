@@ -109,11 +109,13 @@ def _render(job: RectifyJob, ground: Ground, pixels: Pixels, side: Side, name: s
                 job, ground, pixels, nodes[int(p) - 1], int(p) - 1, wanted, Part(out, valid, photograph)
             )
         part = Part(out, valid, photograph)
+        # what mixing asks for goes to the same buffers
+        model = serving.model.copy()
         mixed = photographs_across(job, ground, pixels, models, nodes, serving, side == "left")
         if mixed is not None:
             for p in np.unique(mixed[0][mixed[0] > 0]):
                 _mix(job, ground, pixels, nodes[int(p) - 1], int(p) - 1, mixed, part)
-        _level(job, pixels, models, serving.model, side, mixed, part)
+        _level(job, pixels, models, model, side, mixed, part)
     if cv2.countNonZero(valid) < valid.size:
         clear_invalid(out, valid)
     return Part(out, valid, photograph)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from stereomate.raster import Window
 from stereomate.rectify.arcs import Arc, cheapest, step_graph, walk
 from stereomate.rectify.disagreement import disagreement
-from stereomate.rectify.layout import StereoModel
+from stereomate.rectify.layout import StereoModel, of_one_kind
 from stereomate.rectify.overviews import Overviews
 
 Bools = NDArray[np.bool_]
@@ -69,7 +69,9 @@ def moved_junctions(
     for arc in arcs:
         taken[arc.vertices[:, 1], arc.vertices[:, 0]] = True
     for junction in _junctions(arcs, radius):
-        if 3 <= len(junction.ends) <= 4 and len({end.arc for end in junction.ends}) == len(junction.ends):
+        meeting = [models[label] for end in junction.ends for label in arcs[end.arc].labels]
+        distinct = len({end.arc for end in junction.ends}) == len(junction.ends)
+        if 3 <= len(junction.ends) <= 4 and distinct and of_one_kind(meeting):
             _move(overviews, models, arcs, (zones, taken), (junction, radius), scale)
     return arcs
 

@@ -7,6 +7,7 @@ into ``stereo.json``.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,6 +48,11 @@ class StereoModel:
     base_z_m: float = 0.0
     height_above_ground_m: float = math.nan
     penalty: float = 0.0
+
+
+def of_one_kind(models: Sequence[StereoModel]) -> bool:
+    """Whether all have a right photograph, or none: ground of one kind is not to be had from the other."""
+    return len({m.right >= 0 for m in models}) < 2
 
 
 def axis_direction(dx: float, dy: float) -> float:

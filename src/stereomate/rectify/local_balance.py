@@ -21,10 +21,10 @@ Floats = NDArray[np.float64]
 Nodes = tuple[tuple[tuple[float, ...], ...], ...]
 
 # Larger corrections than this (natural logarithm) are not made.
-_MOST: Final = 0.25
+_MOST: Final = 0.4
 # How many values a node is worth that believes in no correction, and in a smooth one.
 _ZERO_WORTH: Final = 0.5
-_SMOOTH_WORTH: Final = 4.0
+_SMOOTH_WORTH: Final = 1.0
 # The mean of a place changes with the corrections: so many times.
 _ROUNDS: Final = 3
 _LIMIT_SIGMAS: Final = 3.0

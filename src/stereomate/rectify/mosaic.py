@@ -16,9 +16,9 @@ from stereomate.rectify.overviews import Overviews, make_overviews
 from stereomate.rectify.radiometry import Balance, BalanceSummary, Samples
 from stereomate.rectify.samples import balance_samples
 from stereomate.rectify.seamlines import improved_regions
-from stereomate.rectify.seampolygons import Polygons, mixed_seams, region_polygons
+from stereomate.rectify.seampolygons import Polygons, finished_seams, region_polygons
 from stereomate.rectify.seams import Seams
-from stereomate.rectify.serving_ground import best_models, everywhere
+from stereomate.rectify.serving_ground import best_models, everywhere, where_shown
 from stereomate.tiles import Executor
 
 
@@ -91,13 +91,16 @@ def _mosaic(
         overviews = overviews.balanced(balanced[0])
     scale = grey_scale(overviews)
     if polygons is None and has_choice(job) and job.options.seams == "least-cost":
-        label = everywhere(best_models(overviews, job))
+        best = best_models(overviews, job)
+        label = everywhere(best)
         if (label >= 0).all():
             label = improved_regions(overviews, job.models, label, scale)
+            label = where_shown(overviews, job.models, label, best)
             polygons = region_polygons(label, overviews.factor, job.grid.size)
     seams: Seams | None = None
     if polygons is not None:
-        seams = mixed_seams(overviews, job.models, polygons, job.options.feather_px, scale)
+        levelled = balanced is not None
+        seams = finished_seams(overviews, job.models, polygons, job.options.feather_px, scale, levelled)
     made = replace(job, seams=seams, balance=None if balanced is None else balanced[0])
     return made, _summary(made, overviews, None if balanced is None else balanced[1])
 

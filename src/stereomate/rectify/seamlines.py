@@ -18,7 +18,7 @@ from stereomate.raster import Window
 from stereomate.rectify.arcs import Arc, cheapest, seam_arcs, step_graph, walk
 from stereomate.rectify.disagreement import disagreement
 from stereomate.rectify.junctions import moved_junctions
-from stereomate.rectify.layout import StereoModel
+from stereomate.rectify.layout import StereoModel, of_one_kind
 from stereomate.rectify.overviews import Overviews
 
 Floats32 = NDArray[np.float32]
@@ -84,7 +84,7 @@ def _least_cost(
 ) -> Arc:
     zones, distance, reach = surroundings
     ends = arc.vertices[0], arc.vertices[-1]
-    if len(arc.vertices) < 3 or (ends[0] == ends[1]).all():
+    if len(arc.vertices) < 3 or (ends[0] == ends[1]).all() or not of_one_kind(models):
         return arc
     rows, cols = overviews.shape
     pad = int(reach) + 2

@@ -15,7 +15,8 @@ from stereomate.rectify.arcs import seam_arcs
 from stereomate.rectify.disagreement import disagreement
 from stereomate.rectify.layout import StereoModel
 from stereomate.rectify.overviews import Overviews
-from stereomate.rectify.seams import SeamLine, Seams, grained
+from stereomate.rectify.seam_levels import level_reaches, seam_levels
+from stereomate.rectify.seams import GRAIN_PX, SeamLine, Seams, grained
 
 Floats = NDArray[np.float64]
 Labels = NDArray[np.int32]
@@ -84,32 +85,46 @@ def shared_edges(polygons: Polygons) -> list[tuple[tuple[int, int], shapely.Line
     return found
 
 
-def mixed_seams(
+def finished_seams(
     overviews: Overviews,
     models: tuple[StereoModel, ...],
     polygons: Polygons,
     half_width_px: float,
     scale: float,
+    is_levelled: bool,
 ) -> Seams:
-    """Seams of polygons, mixed over at most `half_width_px` on each side, on open ground alone.
+    """Seams of polygons, mixed over at most `half_width_px` on each side, on open ground alone, and levelled.
 
     The half width ends before the nearest place where the two models differ in colour or parallax, and goes
     to 0 at junctions.
     """
+    shared = shared_edges(polygons) if half_width_px > 0.0 or is_levelled else []
+    chains = [_points(line, overviews.factor) for _, line in shared]
+    reaches = level_reaches(chains, overviews.factor)
     lines = []
-    for pair, line in shared_edges(polygons) if half_width_px > 0.0 else []:
-        points = shapely.get_coordinates(shapely.segmentize(line, _SPACING_CELLS * overviews.factor))
-        points = np.round(points * 64.0) / 64.0
-        room = _room(overviews, (models[pair[0]], models[pair[1]]), points, scale)
+    for (pair, line), points, reach in zip(shared, chains, reaches, strict=True):
+        both = models[pair[0]], models[pair[1]]
+        room = _room(overviews, both, points, scale)
         steps = np.hypot(*np.diff(points, axis=0).T)
         along = np.concatenate([[0.0], np.cumsum(steps)])
         if not line.is_closed:
             room = np.minimum(room, np.minimum(along, along[-1] - along))
-        width = np.floor(np.clip(room, 0.0, half_width_px) * 64.0) / 64.0
-        if (width > 0.0).any():
+        width = np.floor(np.clip(room, 0.0, half_width_px) / GRAIN_PX) * GRAIN_PX
+        levels: tuple[tuple[float, ...], ...] = ()
+        if is_levelled:
+            logs = np.round(seam_levels(overviews, both, points).reshape(len(points), -1), 4)
+            wide = np.floor(reach / GRAIN_PX) * GRAIN_PX
+            levels = tuple(map(tuple, np.column_stack([wide, logs]).tolist()))
+        if is_levelled or (width > 0.0).any():
             triples = np.column_stack([points, width]).tolist()
-            lines.append(SeamLine(pair, tuple((x, y, w) for x, y, w in triples)))
+            lines.append(SeamLine(pair, tuple((x, y, w) for x, y, w in triples), levels))
     return Seams(polygons, tuple(lines))
+
+
+def _points(line: shapely.LineString, factor: int) -> Floats:
+    """Points (n, 2) along a seam, in whole grains."""
+    points = shapely.get_coordinates(shapely.segmentize(line, _SPACING_CELLS * factor))
+    return np.asarray(np.round(points / GRAIN_PX) * GRAIN_PX)
 
 
 def _room(

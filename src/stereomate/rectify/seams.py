@@ -16,7 +16,8 @@ import shapely
 from numpy.typing import NDArray
 
 from stereomate.raster import Window
-from stereomate.rectify.kernels.seams import feather_pixels, label_pixels
+from stereomate.rectify.kernels.seams import feather_pixels, label_pixels, level_pixels
+from stereomate.rectify.scratch import scratch
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -36,10 +37,14 @@ class SeamLine:
         Indices of the job's models on both sides.
     points : tuple of (x, y, half width)
         Product pixels; over the half width on each side the photographs of both models are mixed.
+    levels : tuple of (reach, logarithms of the left eye by band, of the right eye)
+        At each point: how much brighter the second model is there, and over how many pixels on each side both
+        are brought together. Empty: they are left as they are.
     """
 
     models: tuple[int, int]
     points: tuple[tuple[float, float, float], ...]
+    levels: tuple[tuple[float, ...], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -91,6 +96,35 @@ class Seams:
             return np.empty((0, 6)), np.empty((0, 2), np.int64)
         return np.concatenate(parts), np.concatenate(sides).astype(np.int64)
 
+    @cached_property
+    def _levels(self) -> tuple[Floats, Ints, Floats]:
+        """Segments (n, 6) of levelled lines, models on both sides, logarithms (n, 2, eyes x bands)."""
+        parts, sides, values = [], [], []
+        for line in self.lines:
+            if not line.levels:
+                continue
+            points, levels = np.asarray(line.points)[:, :2], np.asarray(line.levels)
+            ends = np.hstack([points, levels[:, :1]])
+            segments = np.hstack([ends[:-1], ends[1:]])
+            wanted = np.maximum(segments[:, 2], segments[:, 5]) > 0.0
+            parts.append(segments[wanted])
+            sides.append(np.tile(line.models, (int(wanted.sum()), 1)))
+            values.append(np.stack([levels[:-1, 1:], levels[1:, 1:]], axis=1)[wanted])
+        if not parts:
+            return np.empty((0, 6)), np.empty((0, 2), np.int64), np.empty((0, 2, 0))
+        return np.concatenate(parts), np.concatenate(sides).astype(np.int64), np.concatenate(values)
+
+    @property
+    def is_levelled(self) -> bool:
+        """Whether brightness is brought together at any seam."""
+        return len(self._levels[0]) > 0
+
+    @cached_property
+    def _reach(self) -> float:
+        """Pixels from a seam to where no pixel is changed by it."""
+        widths = [w for line in self.lines for _, _, w in line.points]
+        return max(widths + [level[0] for line in self.lines for level in line.levels], default=0.0)
+
     def labels(self, window: Window, columns: Floats32, out: NDArray[np.int16]) -> None:
         """Model of the polygon under each pixel of a window; -1 for none.
 
@@ -109,8 +143,8 @@ class Seams:
         """The model whose polygon holds a whole window of ground; None if there is no such one."""
         edges, _ = self._edges
         low, high = np.minimum(edges[:, :2], edges[:, 2:]), np.maximum(edges[:, :2], edges[:, 2:])
-        # Beside a seam photographs are mixed, also where it runs outside.
-        reach = max((w for line in self.lines for _, _, w in line.points), default=0.0)
+        # Beside a seam pixels are changed, also where it runs outside.
+        reach = self._reach
         meets = (high[:, 0] >= ground.col0 - reach) & (low[:, 0] <= ground.col1 + reach)
         meets &= (high[:, 1] >= ground.row0 - reach) & (low[:, 1] <= ground.row1 + reach)
         if meets.any():
@@ -141,6 +175,29 @@ class Seams:
         at = float(window.col0), float(window.row0)
         return int(feather_pixels(segments[near], sides[near], owner, columns, *at, partner, weight))
 
+    def level(
+        self, window: Window, columns: Floats32, owner: NDArray[np.int16], eye: int, bands: int
+    ) -> Floats32 | None:
+        """Logarithms (rows, cols, bands) to add to the brightness of a window's pixels; None for nothing.
+
+        Parameters
+        ----------
+        owner : (rows, cols)
+            Model of the polygon that serves each pixel; -1 where another one does.
+        eye : int
+            0 for the left photographs, 1 for the right ones.
+        """
+        segments, sides, values = self._levels
+        reach = np.maximum(segments[:, 2], segments[:, 5])
+        near = np.minimum(segments[:, 1], segments[:, 4]) - reach <= window.row1
+        near &= np.maximum(segments[:, 1], segments[:, 4]) + reach >= window.row0
+        if not near.any():
+            return None
+        own = np.ascontiguousarray(values[near][:, :, eye * bands : (eye + 1) * bands])
+        out = scratch("seam level", (*owner.shape, bands), np.float32)
+        at = float(window.col0), float(window.row0)
+        return out if level_pixels(segments[near], sides[near], own, owner, columns, *at, out) else None
+
 
 def grained(geometry: Any) -> Any:
     """A geometry with coordinates in whole grains."""
@@ -160,6 +217,7 @@ def seams_record(seams: Seams | None) -> dict[str, Any] | None:
             {
                 "models": list(line.models),
                 "pixels": _wkt_with_widths(line),
+                "levels": [list(level) for level in line.levels],
             }
             for line in seams.lines
         ],
@@ -181,5 +239,6 @@ def seams_from_record(record: dict[str, Any] | None) -> Seams | None:
             (float(x), float(y), float(w))
             for x, y, w in shapely.get_coordinates(shapely.from_wkt(r["pixels"]), include_z=True)
         ]
-        lines.append(SeamLine((int(r["models"][0]), int(r["models"][1])), tuple(points)))
+        levels = tuple(tuple(map(float, level)) for level in r["levels"])
+        lines.append(SeamLine((int(r["models"][0]), int(r["models"][1])), tuple(points), levels))
     return Seams(polygons, tuple(lines))

@@ -40,6 +40,9 @@ _EDGE_SHARE: Final = 0.08
 _SLOPE_SHARE: Final = 0.04
 # Regions smaller than this share of a model's ground are given to their neighbours.
 _LEAST_SHARE: Final = 0.02
+_LEAST_CELLS: Final = 9
+# Cells between ground of models and ground that single photographs are asked for.
+_OFF: Final = 3
 
 
 def law_reading_errors(
@@ -78,15 +81,27 @@ def best_models(overviews: Overviews, job: RectifyJob) -> Labels:
     Parameters
     ----------
     job : RectifyJob
-        The product itself; models without a right photograph count only where there is no other kind.
+        The product itself; models without a right photograph count only where no other kind is near.
     """
-    rows, cols = overviews.shape
-    best = np.full((rows, cols), np.inf, np.float32)
-    label = np.full((rows, cols), -1, np.int32)
     stereo = [k for k, m in enumerate(job.models) if m.right >= 0]
+    single = [k for k, m in enumerate(job.models) if m.right < 0]
+    label = np.full(overviews.shape, -1, np.int32)
+    _label_free_ground(overviews, job, stereo, np.ones(overviews.shape, np.bool_), label)
+    # Off by some cells, so that a seam that is made smoother takes nothing from the models.
+    free = cv2.dilate((label >= 0).astype(np.uint8), np.ones((2 * _OFF + 1, 2 * _OFF + 1), np.uint8)) == 0
+    _label_free_ground(overviews, job, single, free, label)
+    return label
+
+
+def _label_free_ground(
+    overviews: Overviews, job: RectifyJob, models: list[int], free: Bools, label: Labels
+) -> None:
+    """Label the free cells with the best of some models, in place."""
+    best = np.full(label.shape, np.inf, np.float32)
+    found = np.full(label.shape, -1, np.int32)
     areas = []
     slopes: Floats32 | None = None
-    for k in stereo or range(len(job.models)):
+    for k in models:
         shown = model_ground(overviews, job.models[k])
         if shown is None:
             continue
@@ -97,12 +112,34 @@ def best_models(overviews: Overviews, job: RectifyJob) -> Labels:
         areas.append(int(valid.sum()))
         at = (slice(window.row0, window.row1), slice(window.col0, window.col1))
         score = _score(overviews, job, job.models[k], window, valid, slopes[at])
-        better = valid & (score < best[at])
+        better = valid & free[at] & (score < best[at])
         best[at][better] = score[better]
-        label[at][better] = k
+        found[at][better] = k
     if areas:
-        _absorb_small_regions(label, max(9, int(_LEAST_SHARE * np.median(areas))))
-    return label
+        first = found.copy()
+        _absorb_small_regions(found, max(_LEAST_CELLS, int(_LEAST_SHARE * np.median(areas))))
+        found = where_shown(overviews, job.models, found, first)
+        label[found >= 0] = found[found >= 0]
+
+
+def where_shown(
+    overviews: Overviews, models: tuple[StereoModel, ...], label: Labels, first: Labels
+) -> Labels:
+    """The labels, but `first` where their model does not show the ground and the first one does.
+
+    Else the rule of `rectify.serving` would serve it, up to the very edge of a photograph.
+    """
+    lost = (label != first) & (first >= 0) & (label >= 0)
+    for k in np.unique(label[lost]):
+        shown = model_ground(overviews, models[k])
+        if shown is not None:
+            window, valid = shown
+            at = (slice(window.row0, window.row1), slice(window.col0, window.col1))
+            lost[at] &= ~(valid & (label[at] == k))
+    regions, count = scipy.ndimage.label(lost)
+    large = np.bincount(regions.ravel(), minlength=count + 1) >= _LEAST_CELLS
+    large[0] = False
+    return np.where(large[regions], first, label)
 
 
 def model_ground(overviews: Overviews, model: StereoModel) -> tuple[Window, Bools] | None:

@@ -169,6 +169,112 @@ def feather_pixels(
 
 
 @kernel
+def level_pixels(
+    segments: Floats,
+    sides: Ints,
+    levels: Floats,
+    owner: NDArray[np.int16],
+    columns: Floats32,
+    col0: float,
+    row0: float,
+    out: Floats32,
+) -> int:
+    """Half the logarithm by which the other side of the nearest seam is brighter, falling off to its reach.
+
+    Parameters
+    ----------
+    segments : (n, 6)
+        x0, y0, reach, x1, y1, reach; in product pixels.
+    sides : (n, 2)
+        Labels on both sides.
+    levels : (n, 2, bands)
+        Logarithm of the brightness of the second side over that of the first, at both ends.
+    owner : (rows, cols)
+        Label of each pixel.
+    out : (rows, cols, bands)
+
+    Returns
+    -------
+    Number of pixels within reach.
+    """
+    rows, cols, bands = out.shape
+    n = segments.shape[0]
+    near = np.empty(n, np.int64)
+    total = 0
+    for r in range(rows):
+        y = row0 + r + 0.5
+        count = 0
+        for s in range(n):
+            w = max(segments[s, 2], segments[s, 5])
+            if min(segments[s, 1], segments[s, 4]) - w <= y <= max(segments[s, 1], segments[s, 4]) + w:
+                near[count] = s
+                count += 1
+        line = columns[0 if columns.shape[0] == 1 else r]
+        for c in range(cols):
+            for b in range(bands):
+                out[r, c, b] = 0.0
+            x = line[c] + col0
+            nearest, found, place, share = np.inf, -1, 0.0, 1.0
+            for k in range(count):
+                s = near[k]
+                if sides[s, 0] != owner[r, c] and sides[s, 1] != owner[r, c]:
+                    continue
+                ax, ay, bx, by = segments[s, 0], segments[s, 1], segments[s, 3], segments[s, 4]
+                w = max(segments[s, 2], segments[s, 5])
+                if x < min(ax, bx) - w or x > max(ax, bx) + w:
+                    continue
+                dx, dy = bx - ax, by - ay
+                length = dx * dx + dy * dy
+                t = 0.0 if length == 0.0 else min(max(((x - ax) * dx + (y - ay) * dy) / length, 0.0), 1.0)
+                d = math.hypot(x - ax - t * dx, y - ay - t * dy)
+                if d < nearest:
+                    w = segments[s, 2] + t * (segments[s, 5] - segments[s, 2])
+                    nearest, found, place = d, s, t
+                    share = d / w if w > 0.0 else 1.0
+            if found < 0 or not share < 1.0:
+                continue
+            total += 1
+            half = 0.5 * (1.0 - share * share * (3.0 - 2.0 * share))
+            if sides[found, 0] != owner[r, c]:
+                half = -half
+            for b in range(bands):
+                difference = levels[found, 0, b] + place * (levels[found, 1, b] - levels[found, 0, b])
+                out[r, c, b] = half * difference
+    return total
+
+
+@kernel
+def lift(
+    pixels: NDArray[Any], valid: NDArray[np.uint8], level: Floats32, mixed: Floats32, low: float, high: float
+) -> None:
+    """Multiply pixels by exp(level), in place; less by twice the share that comes from across the seam.
+
+    Parameters
+    ----------
+    level : (rows, cols, bands)
+    mixed : (rows, cols)
+        Share of the other side; (0, 0) for none anywhere.
+    low, high : float
+        As of `balance`.
+    """
+    rows, cols, bands = pixels.shape
+    integer = low <= high
+    for r in range(rows):
+        for c in range(cols):
+            if valid[r, c] == 0:
+                continue
+            own = 1.0 if mixed.shape[0] == 0 else 1.0 - 2.0 * mixed[r, c]
+            for b in range(bands):
+                if level[r, c, b] == 0.0:
+                    continue
+                value = pixels[r, c, b] * math.exp(own * level[r, c, b])
+                if integer:
+                    pixels[r, c, b] = math.floor(min(max(value, low), high) + 0.5)
+                else:
+                    pixels[r, c, b] = value
+
+
+@kernel
 def mix(
     pixels: NDArray[Any], other: NDArray[Any], there: NDArray[np.uint8], weight: Floats32, integer: bool
 ) -> None:
