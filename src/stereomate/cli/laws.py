@@ -27,6 +27,10 @@ def _laws(
     figure: Annotated[
         Path | None, typer.Option("--figure", help="Write a figure: .svg, .pdf or .png.")
     ] = None,
+    fold_map: Annotated[
+        Path | None,
+        typer.Option("--fold-map", help="Write where each law folds: a GeoTIFF, a band for each law."),
+    ] = None,
     write: Annotated[
         Path | None,
         typer.Option("--write", help="Write the fitted table: a CSV for products.law_table of a project."),
@@ -60,6 +64,9 @@ def _laws(
             _write_table(
                 choice, write if not job.name else write.with_stem(f"{write.stem}_{job.name}"), as_json
             )
+        if fold_map is not None:
+            name = fold_map if not job.name else fold_map.with_stem(f"{fold_map.stem}_{job.name}")
+            _write_fold_map(job, choice, name, settings.threads, as_json)
         if figure is not None:
             name = figure if not job.name else figure.with_stem(f"{figure.stem}_{job.name}")
             _draw(job, block, choice, name)
@@ -106,6 +113,18 @@ def _write_table(choice: Any, path: Path, quiet: bool) -> None:
     write_law_table(path, fitted)
     if not quiet:
         typer.echo(f'fitted table: {path}; in the project file: law = "table", law_table = "{path.name}"')
+
+
+def _write_fold_map(job: Any, choice: Any, path: Path, threads: int, quiet: bool) -> None:
+    from stereomate.stereo.fold_map import write_fold_map
+
+    found = write_fold_map(job, [a.law for a in choice.assessments], path, threads=threads)
+    if not quiet:
+        shares = ", ".join(
+            f"{kind} {share:.2%} (steepest {found.steepest[kind]:.2f})"
+            for kind, share in found.folded.items()
+        )
+        typer.echo(f"fold map, cells of {found.cell:g}: {path}; folded: {shares}")
 
 
 def _draw(job: Any, block: Any, choice: Any, path: Path) -> None:

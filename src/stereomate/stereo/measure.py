@@ -24,6 +24,7 @@ from stereomate.stereo.exact import (
     intersect_grounds,
     orientation_jacobians,
 )
+from stereomate.stereo.eyes import checked_positions, require_left_is_left
 from stereomate.stereo.lineage import Lineage
 from stereomate.stereo.surface import JobSurface
 from stereomate.terrain.intersection import ground_distances
@@ -257,7 +258,7 @@ def measure(
     options = options or MeasureOptions()
     if not job.is_stereo:
         raise InputError("must have a stereomate to be measured in", field="product", value=job.name)
-    left_map, right_map = _positions(left_xy, "left_xy"), _positions(right_xy, "right_xy")
+    left_map, right_map = checked_positions(left_xy, "left_xy"), checked_positions(right_xy, "right_xy")
     if len(left_map) != len(right_map):
         raise InputError(
             "must be as many positions as left_xy", field="right_xy", value=(len(left_map), len(right_map))
@@ -266,7 +267,7 @@ def measure(
     surface = JobSurface(job)
     left = ground_of_orthophoto(surface, left_uv)
     right = ground_of_stereomate(surface, job.law, right_uv)
-    _require_left_is_left(job, surface, left, left_uv, right_uv)
+    require_left_is_left(job, surface, left, left_uv, right_uv)
     photographs, flags = _photographs(job, lineage, left_map, right_map)
     flags[~np.isfinite(left.uvh[:, 2]) | ~np.isfinite(right.uvh[:, 2])] |= int(Flag.NODATA)
     centres_of = job.centres_tangent
@@ -302,36 +303,6 @@ def measure(
         flags=flags,
         flying_height_m=flying,
     )
-
-
-def _positions(xy: ArrayLike, name: str) -> Floats:
-    array = np.asarray(xy, np.float64)
-    if array.ndim == 1:
-        array = array[None]
-    if array.ndim != 2 or array.shape[1] != 2:
-        raise InputError("must be map positions (n, 2)", field=name, value=array.shape)
-    if not np.isfinite(array).all():
-        raise InputError("must be finite", field=name)
-    return array
-
-
-def _require_left_is_left(
-    job: RectifyJob, surface: JobSurface, left: GroundPoints, left_uv: Floats, right_uv: Floats
-) -> None:
-    """Exchanged products show parallaxes of the wrong sign: then most points fit only the other way round."""
-    parallax = left_uv[:, 0] - right_uv[:, 0]
-    as_said = np.abs(parallax - job.law.q(left.uvh[:, 2]))
-    exchanged = np.abs(-parallax - job.law.q(surface.heights(right_uv)[:, 0]))
-    known = np.isfinite(as_said) & np.isfinite(exchanged)
-    # no building shows more than a tenth of the flying height
-    far = 0.1 * job.law.base_m
-    if known.any() and np.median(as_said[known]) > max(far, 4.0 * float(np.median(exchanged[known]))):
-        raise InputError(
-            "must be positions on the orthophoto, and right_xy those on the stereomate: the sign of the "
-            "parallaxes says that they are exchanged",
-            field="left_xy",
-            value=f"median parallax {float(np.median(parallax[known])):.2f}",
-        )
 
 
 def _photographs(job: RectifyJob, lineage: Lineage, left_map: Floats, right_map: Floats) -> tuple[Ints, Ints]:
