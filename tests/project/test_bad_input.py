@@ -351,6 +351,7 @@ def test_control_heights_in_feet_are_named(small):
         ("gsd = 0.001", "products.gsd", ("within 100 times that of the photographs, 0.99",)),
         ("gsd = 1000.0", "products.gsd", ("within 100 times",)),
         ("w0_m = 5.0", "products.w0_m", ("highest ground above reference_m", 'law = "linear"')),
+        ("reference_m = 9000.0", "products.reference_m", ("must be below the photographs",)),
         ("bounds = [0, 0, 10, 10]", "products.bounds", ("ground of the photographs",)),
     ],
 )

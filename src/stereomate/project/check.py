@@ -208,7 +208,13 @@ def _doubts(project: Project, coverage: Coverage, jobs: list[RectifyJob], warnin
     for pair in coverage.pairs:
         alone -= set(pair.names)
     if alone and len(project.survey.photographs) > 1:
-        warnings.append(f"{len(alone)} photographs overlap no other: {', '.join(sorted(alone)[:5])}")
+        overlap = "overlaps" if len(alone) == 1 else "overlap"
+        names = ", ".join(sorted(alone)[:5])
+        warnings.append(f"{_counted(len(alone), 'photograph')} {overlap} no other: {names}")
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def _photo_rows(project: Project, coverage: Coverage) -> list[PhotoRow]:
@@ -245,7 +251,8 @@ def _strengths(
     doubtful = [" - ".join(g.names) for g in found if g.verdict in ("near critical", "no section")]
     if doubtful:
         warnings.append(
-            f"{len(doubtful)} pairs near the critical circle, or without three usable points in any section: "
+            f"{_counted(len(doubtful), 'pair')} near the critical circle, "
+            "or without three usable points in any section: "
             f"{', '.join(doubtful[:5])}{' ...' if len(doubtful) > 5 else ''}; "
             "see stereomate overcorrection section"
         )
