@@ -40,7 +40,7 @@ def pose_distance(base: Array, rotation: Array, other_base: Array, other_rotatio
 
 
 @kernel
-def other_minimum(
+def candidates(
     left: Array,
     right: Array,
     vl: float,
@@ -49,23 +49,19 @@ def other_minimum(
     state: Words,
     base: Array,
     rotation: Array,
-    found_base: Array,
-    found_rotation: Array,
-) -> tuple[float, float]:
-    """Best minimum of the square sum, other than `base` and `rotation`, with the points before the cameras.
-
-    Starts from the solutions of random five-point problems. Returns (square sum in variances, share of the
-    points not behind); (inf, 0) if every start leads to the known minimum.
-    """
+    costs: Array,
+    bases: Array,
+    rotations: Array,
+) -> None:
+    """The best starts, other than `base` and `rotation`, among solutions of random five-point problems."""
     m = left.shape[0]
     five = np.empty(5, np.int64)
     l5, r5 = np.empty((5, 3)), np.empty((5, 3))
     essentials = np.empty((MAX_SOLUTIONS, 9))
-    use5, use = np.ones(5, np.bool_), np.ones(m, np.bool_)
+    use5 = np.ones(5, np.bool_)
     b, first, second, rot = np.empty(3), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     e = np.empty(9)
-    costs = np.full(_CANDIDATES, np.inf)
-    bases, rotations = np.empty((_CANDIDATES, 3)), np.empty((_CANDIDATES, 3, 3))
+    costs[:] = np.inf
     for _ in range(samples):
         draw_five(state, m, five)
         for k in range(5):
@@ -80,10 +76,7 @@ def other_minimum(
             if pose_distance(b, rot, base, rotation) < _SAME:
                 continue
             essential_from_pose(b, rot, e)
-            worst = 0
-            for k in range(_CANDIDATES):
-                if costs[k] > costs[worst]:
-                    worst = k
+            worst = np.argmax(costs)
             cost = 0.0
             for i in range(m):
                 # A logarithm: one bad point must not hide a start that suits the others.
@@ -95,6 +88,32 @@ def other_minimum(
                 costs[worst] = cost
                 bases[worst] = b
                 rotations[worst] = rot
+
+
+@kernel
+def other_minimum(
+    left: Array,
+    right: Array,
+    vl: float,
+    vr: float,
+    samples: int,
+    state: Words,
+    base: Array,
+    rotation: Array,
+    found_base: Array,
+    found_rotation: Array,
+) -> tuple[float, float]:
+    """Best minimum of the square sum, other than `base` and `rotation`, with the points before the cameras.
+
+    Returns (square sum in variances, share of the points not behind); (inf, 0) if every start leads to the
+    known minimum.
+    """
+    m = left.shape[0]
+    costs = np.empty(_CANDIDATES)
+    bases, rotations = np.empty((_CANDIDATES, 3)), np.empty((_CANDIDATES, 3, 3))
+    candidates(left, right, vl, vr, samples, state, base, rotation, costs, bases, rotations)
+    b, first, second, rot = np.empty(3), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    e, use = np.empty(9), np.ones(m, np.bool_)
     cov_left, cov_right = np.array([[vl, 0.0, vl]]), np.array([[vr, 0.0, vr]])
     weight, residual, cofactor = np.ones(m), np.zeros((m, 4)), np.empty((5, 5))
     # A part of the points says whether a start leads anywhere.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stereomate.jit import kernel
 from stereomate.relative.kernels.coplanarity import NO_SUMS, add_condition, coplanarity, write_normal
-from stereomate.relative.kernels.pose import depths, essential_from_pose, move, solve_five, tangents
+from stereomate.relative.kernels.pose import essential_from_pose, move, ray_geometry, solve_five, tangents
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -45,18 +45,11 @@ def depth_bin(
     Bad points have any distance, good ones share those of the terrain. The last bin is a tail; the first
     is for points behind a camera by more than their noise (`variance` of the angle between the rays).
     """
-    near_left, near_right = depths(base, rotation, lx, ly, rx, ry)
-    u = rotation[0, 0] * rx + rotation[0, 1] * ry - rotation[0, 2]
-    v = rotation[1, 0] * rx + rotation[1, 1] * ry - rotation[1, 2]
-    w = rotation[2, 0] * rx + rotation[2, 1] * ry - rotation[2, 2]
-    a = lx * lx + ly * ly + 1.0
-    c = u * u + v * v + w * w
-    d = lx * u + ly * v - w
-    sine2 = a * c - d * d
+    near_left, near_right, sine2, squares = ray_geometry(base, rotation, lx, ly, rx, ry)
     # Parallax over base: the inverse of the distance along either ray, the smaller of both.
     parallax = sine2 / (abs(near_left) + abs(near_right) + 1e-300)
     if near_left < 0.0 or near_right < 0.0:
-        if sine2 > 16.0 * variance * a * c:
+        if sine2 > 16.0 * variance * squares:
             return 0
         parallax = -parallax
     position = (parallax * mix[2] + 1.0) * _BINS_PER_UNIT
@@ -157,13 +150,7 @@ def typical_distance(left: Array, right: Array, use: Mask, base: Array, rotation
     count = 0
     for i in range(left.shape[0]):
         if use[i]:
-            lx, ly, rx, ry = left[i, 0], left[i, 1], right[i, 0], right[i, 1]
-            s, t = depths(base, rotation, lx, ly, rx, ry)
-            u = rotation[0, 0] * rx + rotation[0, 1] * ry - rotation[0, 2]
-            v = rotation[1, 0] * rx + rotation[1, 1] * ry - rotation[1, 2]
-            w = rotation[2, 0] * rx + rotation[2, 1] * ry - rotation[2, 2]
-            d = lx * u + ly * v - w
-            sine2 = (lx * lx + ly * ly + 1.0) * (u * u + v * v + w * w) - d * d
+            s, t, sine2, _ = ray_geometry(base, rotation, left[i, 0], left[i, 1], right[i, 0], right[i, 1])
             values[count] = sine2 / (s + t) if s > 0.0 and t > 0.0 else 0.0
             count += 1
     if count < 5:

@@ -136,11 +136,13 @@ def move(base: Array, rotation: Array, tangent: Array, step: Array) -> None:
 
 
 @kernel
-def depths(base: Array, rotation: Array, lx: float, ly: float, rx: float, ry: float) -> tuple[float, float]:
-    """Numbers with the signs of the distances along both rays to where they come closest.
+def ray_geometry(
+    base: Array, rotation: Array, lx: float, ly: float, rx: float, ry: float
+) -> tuple[float, float, float, float]:
+    """Signed distances along both rays to where they come closest, times ``s``, then ``s`` and ``s0``.
 
-    Positive: in front of the camera. Divided by ``sin²`` of the angle between the rays they are the
-    distances in units of the base, along (x/c, y/c, -1).
+    ``s0`` is the product of the squared lengths of the rays, ``s`` that times the squared sine of the angle
+    between them: the distances, in units of the base along (x/c, y/c, -1), are the first two over ``s``.
     """
     u = rotation[0, 0] * rx + rotation[0, 1] * ry - rotation[0, 2]
     v = rotation[1, 0] * rx + rotation[1, 1] * ry - rotation[1, 2]
@@ -150,7 +152,7 @@ def depths(base: Array, rotation: Array, lx: float, ly: float, rx: float, ry: fl
     d = lx * u + ly * v - w
     lb = lx * base[0] + ly * base[1] - base[2]
     rb = u * base[0] + v * base[1] + w * base[2]
-    return c * lb - d * rb, d * lb - a * rb
+    return c * lb - d * rb, d * lb - a * rb, a * c - d * d, a * c
 
 
 @kernel
@@ -159,7 +161,7 @@ def count_in_front(left: Array, right: Array, use: Mask, base: Array, rotation: 
     front, behind = 0, 0
     for i in range(left.shape[0]):
         if use[i]:
-            s, t = depths(base, rotation, left[i, 0], left[i, 1], right[i, 0], right[i, 1])
+            s, t, _, _ = ray_geometry(base, rotation, left[i, 0], left[i, 1], right[i, 0], right[i, 1])
             if s > 0.0 and t > 0.0:
                 front += 1
             elif s < 0.0 and t < 0.0:
@@ -180,15 +182,10 @@ def share_behind(
         if not use[i]:
             continue
         total += 1
-        lx, ly, rx, ry = left[i, 0], left[i, 1], right[i, 0], right[i, 1]
-        s, t = depths(base, rotation, lx, ly, rx, ry)
+        s, t, sine2, squares = ray_geometry(base, rotation, left[i, 0], left[i, 1], right[i, 0], right[i, 1])
         if s > 0.0 and t > 0.0:
             continue
-        u = rotation[0, 0] * rx + rotation[0, 1] * ry - rotation[0, 2]
-        v = rotation[1, 0] * rx + rotation[1, 1] * ry - rotation[1, 2]
-        w = rotation[2, 0] * rx + rotation[2, 1] * ry - rotation[2, 2]
-        a, c, d = lx * lx + ly * ly + 1.0, u * u + v * v + w * w, lx * u + ly * v - w
-        if a * c - d * d > 16.0 * variance * a * c:
+        if sine2 > 16.0 * variance * squares:
             behind += 1
     return behind / max(total, 1)
 

@@ -48,7 +48,7 @@ def score(
     vl: float,
     vr: float,
     limit2: float,
-    best_inliers: int,
+    best_inliers: float,
     best_cost: float,
 ) -> tuple[float, int]:
     """(cost, inliers) on the subset; cost is the truncated square sum; (inf, 0) as soon as it cannot win."""
@@ -74,6 +74,29 @@ def score(
 
 
 @kernel
+def improve(
+    left: Array, right: Array, vl: float, vr: float, limit: float, base: Array, rotation: Array, best: Array
+) -> None:
+    """Refine a new best orientation with a wide and with the right limit; `best` (cost, inliers, ...) too."""
+    b, rot, e = np.empty(3), np.empty((3, 3)), np.empty(9)
+    mix, odds, cofactor = np.empty(3), np.zeros(BINS), np.empty((5, 5))
+    var_l, var_r = np.array([vl]), np.array([vr])
+    for limit_factor in (2.0, 1.0):
+        b[:] = base
+        rot[:] = rotation
+        mix[0], mix[1], mix[2] = limit * limit_factor, limit / 3.0, 0.0
+        odds[0] = 0.0
+        if not refine(left, right, var_l, var_r, b, rot, mix, odds, 2, limit, cofactor):
+            continue
+        essential_from_pose(b, rot, e)
+        cost, inliers = score(e, left, right, vl, vr, limit * limit, 0.0, best[0])
+        if cost < best[0]:
+            best[0], best[1] = cost, inliers
+            base[:] = b
+            rotation[:] = rot
+
+
+@kernel
 def search(
     left: Array,
     right: Array,
@@ -96,10 +119,7 @@ def search(
     essentials = np.empty((MAX_SOLUTIONS, 9))
     all_five, use = np.ones(5, np.bool_), np.empty(m, np.bool_)
     b, first, second, rot = np.empty(3), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    b_try, rot_try, e_try = np.empty(3), np.empty((3, 3)), np.empty(9)
-    mix, odds, cofactor = np.empty(3), np.zeros(BINS), np.empty((5, 5))
-    var_l, var_r = np.array([vl]), np.array([vr])
-    best_cost, best_inliers = np.inf, 0
+    best_cost, best_inliers = np.inf, 0.0
     needed = most
     sample = 0
     while sample < most and (sample < least or sample < needed):
@@ -125,28 +145,89 @@ def search(
             # The second solution of a plane has some of it behind a camera.
             if share_behind(left, right, use, b, rot, vl + vr) > MOST_BEHIND:
                 continue
-            best_cost, best_inliers = cost, inliers
             base[:] = b
             rotation[:] = rot
-            for limit_factor in (2.0, 1.0):
-                b_try[:] = base
-                rot_try[:] = rotation
-                mix[0], mix[1], mix[2] = limit * limit_factor, limit / 3.0, 0.0
-                odds[0] = 0.0
-                if refine(left, right, var_l, var_r, b_try, rot_try, mix, odds, 2, limit, cofactor):
-                    essential_from_pose(b_try, rot_try, e_try)
-                    cost, inliers = score(e_try, left, right, vl, vr, limit2, 0, best_cost)
-                    if cost < best_cost:
-                        best_cost, best_inliers = cost, inliers
-                        base[:] = b_try
-                        rotation[:] = rot_try
+            best[0], best[1] = cost, inliers
+            improve(left, right, vl, vr, limit, base, rotation, best)
+            best_cost, best_inliers = best[0], best[1]
             good = (best_inliers / m) ** 5
             if good >= 1.0 - 1e-12:
                 needed = 0
             elif good > 1e-12:
                 needed = min(most, int(np.log(1.0 - confidence) / np.log(1.0 - good)) + 1)
     best[0], best[1], best[2] = best_cost, best_inliers, sample
-    return best_inliers >= 5
+    return best_inliers >= 5.0
+
+
+@kernel
+def choose_subset(
+    left: Array,
+    right: Array,
+    var_left: Array,
+    var_right: Array,
+    state: Words,
+    sub_left: Array,
+    sub_right: Array,
+) -> tuple[float, float]:
+    """Random points into `sub_left` and `sub_right`; their mean variances left and right."""
+    m = sub_left.shape[0]
+    chosen = np.empty(m, np.int64)
+    draw_subset(state, left.shape[0], chosen)
+    vl = vr = 0.0
+    for i in range(m):
+        j = chosen[i]
+        for k in range(2):
+            sub_left[i, k], sub_right[i, k] = left[j, k], right[j, k]
+        vl += var_left[j if var_left.shape[0] > 1 else 0] / m
+        vr += var_right[j if var_right.shape[0] > 1 else 0] / m
+    return vl, vr
+
+
+@kernel
+def settle(
+    left: Array,
+    right: Array,
+    var_left: Array,
+    var_right: Array,
+    numbers: Array,
+    base: Array,
+    rotation: Array,
+    mix: Array,
+    odds: Array,
+    cofactor: Array,
+) -> bool:
+    """Refine what the search found on its subset: the noise, the arrangement, the depths of the terrain.
+
+    `base` and `rotation` are those of the right arrangement even where False is returned, because the last
+    steps failed.
+    """
+    limit, widest = numbers[0], numbers[8] * numbers[0]
+    kept_base, kept_rotation = base.copy(), rotation.copy()
+    fine = refine(left, right, var_left, var_right, base, rotation, mix, odds, 2, widest, cofactor)
+    while fine and mix[0] > limit * 1.02 and mix[0] < widest:
+        # The noise is larger than stated: widen until the limit has found its place.
+        limit = mix[0]
+        fine = refine(left, right, var_left, var_right, base, rotation, mix, odds, 1, widest, cofactor)
+    if not fine:
+        base[:] = kept_base
+        rotation[:] = kept_rotation
+    inlier = np.ones(left.shape[0], np.bool_)
+    mark_inliers(left, right, var_left, var_right, base, rotation, mix, odds, numbers[6:8], inlier)
+    e, first, second = np.empty(9), np.empty((3, 3)), np.empty((3, 3))
+    essential_from_pose(base, rotation, e)
+    pose_from_essential(e, base, first, second)
+    choose_arrangement(left, right, inlier, base, first, second, rotation)
+    kept_base[:] = base
+    kept_rotation[:] = rotation
+    mix[2] = typical_distance(left, right, inlier, base, rotation)
+    odds[:] = odds[0]
+    if mix[2] > 0.0:
+        odds[0] = IMPOSSIBLE
+    if refine(left, right, var_left, var_right, base, rotation, mix, odds, 3, widest, cofactor):
+        return True
+    base[:] = kept_base
+    rotation[:] = kept_rotation
+    return False
 
 
 @kernel
@@ -171,74 +252,38 @@ def robust_pose(
     nothing was found.
     """
     n = left.shape[0]
-    limit = numbers[0]
+    m = min(n, int(numbers[4]))
+    limit, last = numbers[0], int(numbers[5])
     state = np.empty(1, np.uint64)
     state[0] = np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(0xD1B54A32D192ED03)
     for _ in range(8):
         next_random(state)
-    m = min(n, int(numbers[4]))
-    chosen = np.empty(m, np.int64)
-    draw_subset(state, n, chosen)
-    sub_left, sub_right = np.empty((m, 2)), np.empty((m, 2))
-    vl = vr = 0.0
-    for i in range(m):
-        j = chosen[i]
-        for k in range(2):
-            sub_left[i, k], sub_right[i, k] = left[j, k], right[j, k]
-        vl += var_left[j if var_left.shape[0] > 1 else 0] / m
-        vr += var_right[j if var_right.shape[0] > 1 else 0] / m
-    best = np.zeros(3)
-    found = search(
-        sub_left,
-        sub_right,
-        vl,
-        vr,
-        limit,
-        numbers[1],
-        numbers[2],
-        numbers[3],
-        state,
-        base,
-        rotation,
-        best,
-    )
+    sub_left, sub_right, best = np.empty((m, 2)), np.empty((m, 2)), np.zeros(3)
+    vl, vr = choose_subset(left, right, var_left, var_right, state, sub_left, sub_right)
+    confidence, least, most = numbers[1], int(numbers[2]), int(numbers[3])
+    found = search(sub_left, sub_right, vl, vr, limit, confidence, least, most, state, base, rotation, best)
     out[0], out[1], out[2] = best[2], m, best[1]
     if not found:
         return False
-    kept_base, kept_rotation = base.copy(), rotation.copy()
-    sub_inlier = np.ones(m, np.bool_)
-    mix, odds, bounds = np.array([limit, limit / 3.0, 0.0]), np.zeros(BINS), numbers[6:8]
+    start_base, start_rotation = base.copy(), rotation.copy()
+    mix, odds = np.array([limit, limit / 3.0, 0.0]), np.zeros(BINS)
     var_l, var_r = np.array([vl]), np.array([vr])
-    e = np.empty(9)
-    first, second, rot = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    widest = numbers[8] * limit
-    fine = refine(sub_left, sub_right, var_l, var_r, base, rotation, mix, odds, 2, widest, cofactor)
-    while fine and mix[0] > limit * 1.02 and mix[0] < widest:
-        # The noise is larger than stated: widen until the limit has found its place.
-        limit = mix[0]
-        fine = refine(sub_left, sub_right, var_l, var_r, base, rotation, mix, odds, 1, widest, cofactor)
-    if not fine:
-        base[:] = kept_base
-        rotation[:] = kept_rotation
-    mark_inliers(sub_left, sub_right, var_l, var_r, base, rotation, mix, odds, bounds, sub_inlier)
-    essential_from_pose(base, rotation, e)
-    pose_from_essential(e, base, first, second)
-    choose_arrangement(sub_left, sub_right, sub_inlier, base, first, second, rot)
-    rotation[:] = rot
-    kept_base[:] = base
-    kept_rotation[:] = rotation
-    mix[2] = typical_distance(sub_left, sub_right, sub_inlier, base, rotation)
-    odds[:] = odds[0]
-    if mix[2] > 0.0:
-        odds[0] = IMPOSSIBLE
-    fine = refine(sub_left, sub_right, var_l, var_r, base, rotation, mix, odds, 3, widest, cofactor)
-    last = int(numbers[5])
+    fine = settle(sub_left, sub_right, var_l, var_r, numbers, base, rotation, mix, odds, cofactor)
     if fine and n > m:
-        fine = refine(left, right, var_left, var_right, base, rotation, mix, odds, last, widest, cofactor)
-    if not fine:
-        base[:] = kept_base
-        rotation[:] = kept_rotation
+        kept_base, kept_rotation = base.copy(), rotation.copy()
+        widest = numbers[8] * limit
+        if not refine(left, right, var_left, var_right, base, rotation, mix, odds, last, widest, cofactor):
+            base[:] = kept_base
+            rotation[:] = kept_rotation
+    bounds = numbers[6:8]
     out[3] = mark_inliers(left, right, var_left, var_right, base, rotation, mix, odds, bounds, inlier)
+    if out[3] < 0.5 * n * best[1] / m:
+        # The steps ran away from what most points agree on, as they do along the valley of critical points.
+        base[:] = start_base
+        rotation[:] = start_rotation
+        mix[0], mix[1], mix[2] = limit, limit / 3.0, 0.0
+        odds[:] = 0.0
+        out[3] = mark_inliers(left, right, var_left, var_right, base, rotation, mix, odds, bounds, inlier)
     out[4], out[5] = mix[1], mix[2]
     front, _behind = count_in_front(left, right, inlier, base, rotation)
     out[6] = front
