@@ -331,6 +331,18 @@ def test_correlated_control_is_weighted_with_its_covariance():
     )
 
 
+def test_observation_outside_its_photograph_is_left_out_and_named():
+    block = make_block(gnss=0.05, control=4)
+    xy = block.network.image.xy.copy()
+    xy[7] = (-500.0, 9000.0)
+    result = adjust_block(replace(block.network, image=replace(block.network.image, xy=xy)))
+    assert not result.used[7]
+    image = block.network.image
+    place = f"t{image.point[7]} in p{image.photo[7]}"
+    assert result.notes == (f"1 image observations left out, outside their photograph: {place}",)
+    assert result.sigma0 < 1.2
+
+
 def test_points_seen_once_and_unordered_input_change_nothing():
     block = make_block(gnss=0.05, control=4)
     image, points = block.network.image, block.network.points

@@ -14,7 +14,7 @@ from stereomate.block.network import BlockCamera, Control, ImagePoints, Network,
 from stereomate.camera.distortion import BrownDistortion
 from stereomate.camera.model import Camera
 from stereomate.geometry.collinearity import perturbation_from_opk
-from stereomate.geometry.rotations import opk_from_rotation, rotation_from_opk
+from stereomate.geometry.rotations import opk_from_rotation, rotation_from_opk, rotation_from_vector
 from stereomate.relative.orientation import relative_orientation
 from stereomate.relative.pair import correspondences_from_photo
 
@@ -122,6 +122,77 @@ def test_dbat_self_calibration_to_the_printed_digits(data_folder):
     assert [(c.first, c.second, round(c.value, 3)) for c in result.correlations] == [
         ("c4040z: k2", "c4040z: k3", -0.980)
     ]
+
+
+def corrected_residuals(network, camera, centres, rotations, points):
+    """Residuals in pixels of corrected coordinates: what DBAT's backward models make small."""
+    photo, point = network.image.photo, network.image.point
+    local = np.einsum("mji,mj->mi", rotations[photo], points[point] - centres[photo])
+    rays = camera.rays_from_image(network.image.xy)[:, :2]
+    scale = camera.principal_distance_mm * abs(camera.pixel_from_photo[0][0])
+    return (scale * (rays + local[:, :2] / local[:, 2:])).ravel()
+
+
+@pytest.mark.real
+def test_dbat_backward_model_to_the_printed_digits(data_folder):
+    """Its backward models make residuals of corrected coordinates small, errors are in the measured ones.
+
+    So the rigorous adjustment is another one, near it. The same camera with its residuals, in steps of Gauss
+    and Newton over differences from there, gives its report.
+    """
+    folder = data_folder / "dbat_camcal"
+    export = read_export(folder / "pmexports/camcal-pmexport.txt")
+    report = Report(folder / "dbatexports/camcal-dbatreport-model1.txt")
+    pitch = 5.43764 / 1704
+    lens = BrownDistortion(convention="australis", direction="measured_to_ideal", units="mm")
+    camera = Camera.from_pixel_pitch("c4040z", export.size, 7.5, pitch, (0.0, 0.0), lens)
+    first = ("principal_distance_mm", "principal_point_x_mm", "principal_point_y_mm")
+    free = dict.fromkeys((*first, "k1", "k2", "k3", "p1", "p2"), math.inf)
+    network = network_of(export, camera, free)
+    result = adjust_block(network)
+    assert result.converged
+    assert result.redundancy == report.number("Redundancy")[0]
+    labels = ("Camera Constant:", "px - principal", "py - principal", "K1 -", "K2 -", "K3 -", "P1 -", "P2 -")
+
+    def as_printed(values):
+        return [values[0], values[1] + 1136 * pitch, 852 * pitch - values[2], *values[3:]]
+
+    for value, label in zip(as_printed(result.shared), labels, strict=True):
+        assert (
+            abs(value - report.number(label, 0, "Value:")[0]) < 0.3 * report.number(label, 0, "Deviation:")[0]
+        )
+    names = list(camera.parameter_names)
+    at = [names.index(name) for name in free]
+    tied = np.setdiff1d(np.flatnonzero(np.isfinite(result.points[:, 0])), network.control.point)
+    state = result.centres, result.rotations, result.points, np.array(result.cameras[0].parameters)
+
+    def moved(step):
+        centres, rotations, points, values = (part.copy() for part in state)
+        photos = step[: 6 * len(centres)].reshape(-1, 6)
+        points[tied] += step[6 * len(centres) : -len(at)].reshape(-1, 3)
+        values[at] += step[-len(at) :]
+        return centres + photos[:, :3], rotation_from_vector(photos[:, 3:]) @ rotations, points, values
+
+    def residuals(centres, rotations, points, values):
+        return corrected_residuals(network, camera.with_parameters(values), centres, rotations, points)
+
+    size = 6 * len(state[0]) + 3 * len(tied) + len(at)
+    assert size == report.number("Number of params:")[0]
+    unit = np.full(size, 1e-5)
+    unit[-len(at) :] = (1e-4, 1e-4, 1e-4, 1e-6, 1e-8, 1e-9, 1e-7, 1e-7)
+    for _ in range(3):
+        design = np.empty((2 * len(network.image.photo), size))
+        for i in range(size):
+            step = np.zeros(size)
+            step[i] = unit[i]
+            design[:, i] = (residuals(*moved(step)) - residuals(*moved(-step))) / 2.0
+        change = np.linalg.lstsq(design, -residuals(*state), rcond=None)[0] * unit
+        state = moved(change)
+    last = residuals(*state)
+    sigma0 = math.sqrt(float(last @ last) / (len(last) - size))
+    report.agrees(sigma0, "Sigma0 (pixels):")
+    for value, label in zip(as_printed(state[3][at]), labels, strict=True):
+        report.agrees(value, label, 0, "Value:")
 
 
 @pytest.mark.real

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from stereomate.block.joining import BlockImages, JoiningOptions, PairPose, join
+from stereomate.block.joining import join
+from stereomate.block.models import BlockImages, JoiningOptions, PairPose
 from stereomate.block.start import KnownPoints, KnownPositions, find_start
 from stereomate.block.start_datum import Places, find_datum
 from stereomate.block.start_pairs import Approximation, PairOptions, select_pairs

@@ -30,6 +30,8 @@ _LARGEST_DAMPING: Final = 1e8
 _SINGULAR_DAMPING: Final = 1e-2
 # Steps that promise less than this part of the one before shrink fast: the next one is foreseen.
 _FAST: Final = 0.01
+# Marks at the very edge may be refined to just beyond it.
+_EDGE_PX: Final = 2.0
 _PHOTO_UNKNOWNS: Final = ("X0", "Y0", "Z0", "rotation x", "rotation y", "rotation z")
 
 
@@ -139,6 +141,10 @@ def run_loop(
             )
         notes.append(f"datum by inner constraints: open were {', '.join(defect.names())}")
         network = held(network, defect)
+    outside = _outside(network)
+    if outside.any():
+        used = ~outside if used is None else used & ~outside
+        notes.append(_outside_note(network, outside))
     prepared = prepare(network, used)
     prepared, lonely = _without_lonely(prepared)
     if lonely.any():
@@ -158,6 +164,21 @@ def run_loop(
         loop.prepared, start, final, loop.cost, loop.iterations, loop.damped, loop.converged, defect, lonely,
         (*notes, *loop.notes),
     )  # fmt: skip
+
+
+def _outside(network: Network) -> Mask:
+    """Image observations that lie outside the pixel array of their photograph."""
+    sizes = np.array([entry.camera.size_px for entry in network.cameras], dtype=np.float64)
+    limit = sizes[network.photographs.camera[network.image.photo]] + _EDGE_PX
+    xy = network.image.xy
+    return np.asarray(((xy < -_EDGE_PX) | (xy > limit)).any(axis=1))
+
+
+def _outside_note(network: Network, outside: Mask) -> str:
+    image, points, photos = network.image, network.points.names, network.photographs.names
+    rows = np.flatnonzero(outside)
+    places = [f"{points[image.point[row]]} in {photos[image.photo[row]]}" for row in rows[:5].tolist()]
+    return f"{len(rows)} image observations left out, outside their photograph: {', '.join(places)}"
 
 
 def _without_lonely(prepared: Prepared) -> tuple[Prepared, Mask]:

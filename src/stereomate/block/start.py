@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereomate.block.joining import Adjuster, BlockImages, JoiningOptions, Model, PairPose, join
+from stereomate.block.joining import join
+from stereomate.block.models import Adjuster, BlockImages, JoiningOptions, Model, PairPose
 from stereomate.block.start_datum import Datum, Places, find_datum
 from stereomate.camera.model import Camera
 from stereomate.errors import NotDeterminedError

@@ -312,7 +312,8 @@ def _image(solution: Solution, computed: Array, width: float, scale: float, limi
         deviation = np.sqrt(np.where(used, redundancy / weight, sigma**2 + computed))
     known = solution.determined[solution.prepared.network.image.point][:, None]
     made = _reliability(residuals, sigma, redundancy, deviation, scale, limit)
-    standardized = np.where(used | ~known, made.standardized, residuals / (scale * deviation))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        standardized = np.where(used | ~known, made.standardized, residuals / (scale * deviation))
     return Reliability(residuals, sigma, redundancy, standardized, made.minimal_detectable)
 
 

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from stereomate.block.joining import PairPose
+from stereomate.block.models import PairPose
 from stereomate.block.photos import BlockPhoto, features_of_photo, is_mirrored
 from stereomate.block.start_pairs import (
     Approximation,
