@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
+from stereomate.cli import relative_options as given
 from stereomate.cli.output import plain, print_json
 from stereomate.cli.relative_points import PointsInput, orient_points
 from stereomate.cli.relative_print import print_counts, print_orientation
@@ -19,9 +20,6 @@ if TYPE_CHECKING:
     from stereomate.camera.model import Camera
     from stereomate.relative.automatic import AutomaticOrientation, Prior
     from stereomate.relative.pair import RelativePose
-
-
-_POINTS = "Measured points"
 
 
 @dataclass(frozen=True)
@@ -41,58 +39,19 @@ def register(app: typer.Typer) -> None:
 
 
 def _relative(
-    left: Annotated[
-        str | None, typer.Argument(help="Left photograph: a file, or a name in the project.")
-    ] = None,
-    right: Annotated[str | None, typer.Argument(help="Right photograph.")] = None,
-    camera: Annotated[
-        Path | None,
-        typer.Option("--camera", help="TOML file with one [[camera]], or one each for left and right."),
-    ] = None,
-    project: Annotated[
-        Path | None,
-        typer.Option("--project", help="Project file: cameras, and orientation to start from and compare."),
-    ] = None,
-    figures: Annotated[
-        Path | None, typer.Option("--figures", help="Folder for matches, y-parallaxes, six-point picture.")
-    ] = None,
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="Write the JSON record here.")] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the JSON record (without points).")] = False,
-    largest_side: Annotated[
-        int, typer.Option("--largest-side", help="Features are looked for in images reduced to this side.")
-    ] = 2200,
-    seed: Annotated[int, typer.Option("--seed", help="Of the random sampling.")] = 0,
-    points: Annotated[
-        Path | None,
-        typer.Option(
-            "--points",
-            help="Measured points instead of photographs: point,x_left,y_left,x_right,y_right in mm from the "
-            "principal point, or point,col_left,row_left,col_right,row_right in pixels; perhaps weight.",
-            rich_help_panel=_POINTS,
-        ),
-    ] = None,
-    principal_distance: Annotated[
-        str | None,
-        typer.Option(
-            "--principal-distance", help="Of points in mm: C, or LEFT,RIGHT.", rich_help_panel=_POINTS
-        ),
-    ] = None,
-    sigma: Annotated[
-        float | None,
-        typer.Option(
-            "--sigma",
-            help="Standard deviation of a measured coordinate of weight one [default: 0.005 mm, 0.5 px].",
-            rich_help_panel=_POINTS,
-        ),
-    ] = None,
-    equal_weights: Annotated[
-        bool,
-        typer.Option(
-            "--equal-weights",
-            help="All conditions weigh the same, as textbook programs have it.",
-            rich_help_panel=_POINTS,
-        ),
-    ] = False,
+    left: given.Left = None,
+    right: given.Right = None,
+    camera: given.CameraFile = None,
+    project: given.Project = None,
+    figures: given.Figures = None,
+    output: given.Output = None,
+    json: given.Json = False,
+    largest_side: given.LargestSide = 2200,
+    seed: given.Seed = 0,
+    points: given.Points = None,
+    principal_distance: given.PrincipalDistance = None,
+    sigma: given.Sigma = None,
+    equal_weights: given.EqualWeights = False,
 ) -> None:
     """Relative orientation of two photographs, automatically or from measured points, with its accuracy.
 
@@ -105,8 +64,8 @@ def _relative(
             raise InputError(
                 "must stand without photographs and project", field="--points", value=str(points)
             )
-        given = PointsInput(points, camera, principal_distance, sigma, equal_weights, seed)
-        orient_points(given, output, figures, json)
+        table = PointsInput(points, camera, principal_distance, sigma, equal_weights, seed)
+        orient_points(table, output, figures, json)
         return
     if left is None or right is None:
         raise InputError("must be two photographs, or --points", field="LEFT RIGHT", value=left)

@@ -240,13 +240,7 @@ def correspondences_from_pixels(
     sides = zip(("left_px", "right_px"), (left_camera, right_camera), (left_px, right_px), strict=True)
     for k, (name, camera, given) in enumerate(sides):
         pixels = _points(given, name)
-        outside = ~((pixels >= 0.0) & (pixels <= np.array(camera.size_px))).all(axis=1)
-        if outside.any():
-            raise InputError(
-                f"must lie on the photograph of {camera.size_px[0]} x {camera.size_px[1]} px",
-                field=f"{name}[{int(np.argmax(outside))}]",
-                value=tuple(pixels[outside][0].tolist()),
-            )
+        _require_on_photo(pixels, camera, name)
         directions = camera.rays_from_image(pixels)
         bad = ~np.isfinite(directions).all(axis=1)
         if bad.any():
@@ -270,6 +264,16 @@ def correspondences_from_pixels(
         "px",
         None if weights is None else np.asarray(weights, dtype=np.float64),
     )
+
+
+def _require_on_photo(pixels: Array, camera: Camera, name: str) -> None:
+    outside = ~((pixels >= 0.0) & (pixels <= np.array(camera.size_px))).all(axis=1)
+    if outside.any():
+        raise InputError(
+            f"must lie on the photograph of {camera.size_px[0]} x {camera.size_px[1]} px",
+            field=f"{name}[{int(np.argmax(outside))}]",
+            value=tuple(pixels[outside][0].tolist()),
+        )
 
 
 def _pitch(camera: Camera) -> float:
