@@ -205,6 +205,11 @@ def test_planted_errors_are_found_and_repaired(made, tmp_path):
         assert abs(np.median((repaired - world.heights)[here])) < 0.05
     assert (planted / "out" / "terrain.png").stat().st_size > 10_000
     again = StereoProduct.open(planted / "again")
+    rasters = {"ortho.tif", "mate.tif", "lineage.tif", "stereo.json", "run.log"}
+    beside = {"report.html", "report.json", "item.json", "seams.gpkg"}
+    assert {path.name for path in (planted / "again").iterdir()} == rasters | beside
+    assert set(json.loads((planted / "again" / "stereo.json").read_text())["run"]["documents"]) == beside
+    assert "repaired" in (planted / "again" / "report.html").read_text()
     assert again.job.heights.path == planted / "repaired.tif"
     residual = again.agreement["orthophoto_against_stereomate"]
     first = StereoProduct.open(planted / "out").agreement["orthophoto_against_stereomate"]

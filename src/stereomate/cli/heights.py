@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import logging
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from stereomate.cli.logs import log_to_file
 from stereomate.cli.output import console, print_json, table
 from stereomate.cli.progress import ProgressSink, progress_of
 from stereomate.cli.settings import Settings
-from stereomate.errors import InputError
+from stereomate.errors import InputError, StereomateError
 
 if TYPE_CHECKING:
     from stereomate.stereo.matched_surface import SurfaceOptions, SurfaceSummary
     from stereomate.stereo.product import StereoProduct
     from stereomate.stereo.terrain_check import TerrainSummary
+
+LOG = logging.getLogger(__name__)
 
 _PRODUCT = typer.Argument(metavar="OUT", help="stereo.json of a run, or its folder.")
 _ABOVE = typer.Option("--above", help="Search this far above the height model, metres.")
@@ -169,13 +174,32 @@ def _draw_terrain(product: StereoProduct, found: TerrainSummary) -> None:
 
 
 def _remake(product: StereoProduct, repair: Path, out: Path, threads: int, progress: ProgressSink) -> None:
+    """Rasters, and where the project file is still there report and STAC item, as a run writes them."""
+    from stereomate.project import load
+    from stereomate.project.documents import write_documents
+    from stereomate.project.mosaic import sources_of
     from stereomate.project.remake import remake
     from stereomate.project.run import RunOptions
     from stereomate.terrain.model import HeightModel
 
+    started = time.perf_counter()
     frame = product.job.heights.frame
     heights = HeightModel.open(repair, frame.heights, crs=frame.crs)
-    remake([product], heights, out, RunOptions(threads=threads), progress)
+    try:
+        project = load(sources_of(product.folder, None)[0])
+    except StereomateError as error:
+        LOG.warning("%s: made anew without report and STAC item", error)
+        project = None
+    with log_to_file(out / "run.log"):
+        remake(
+            [product],
+            heights,
+            out,
+            RunOptions(threads=threads),
+            progress,
+            project=project,
+            documents=lambda made: write_documents(made, started),
+        )
 
 
 def _print_surface(summary: SurfaceSummary) -> None:

@@ -9,11 +9,21 @@ from pathlib import Path
 import numpy as np
 
 from stereomate import __version__
+from stereomate.coverage.summary import survey_coverage
 from stereomate.errors import InputError
 from stereomate.frames.transform import map_from_map, map_from_tangent
 from stereomate.project.making import make_product
+from stereomate.project.model import Project
+from stereomate.project.mosaic import write_seam_file
 from stereomate.project.output import OutputFolder
-from stereomate.project.run import ProductResult, ProgressSink, RunOptions
+from stereomate.project.run import (
+    SEAM_FILE,
+    DocumentWriter,
+    ProductResult,
+    ProgressSink,
+    RunOptions,
+    RunResult,
+)
 from stereomate.raster.files import storing
 from stereomate.rectify.job import RectifyJob
 from stereomate.rectify.planning import ground_range
@@ -29,8 +39,18 @@ def remake(
     out: Path,
     options: RunOptions,
     progress: ProgressSink | None = None,
+    *,
+    project: Project | None = None,
+    documents: DocumentWriter | None = None,
 ) -> tuple[ProductResult, ...]:
-    """Make products anew over a height model; grid, law, models and orientation stay.
+    """Make products anew over a height model; grid, law, models, seams, balance and orientation stay.
+
+    Parameters
+    ----------
+    project : Project, optional
+        Of the first run: without it nobody knows the survey, and there are no documents.
+    documents : callable, optional
+        As of `stereomate.project.run.run`.
 
     Raises
     ------
@@ -59,9 +79,23 @@ def remake(
         results = tuple(make_product(job, place, key, options, report) for job in jobs)
     finally:
         close_readers()
-    place.remove_stale({name for r in results for name in r.product.files.hashes})
     note = f"made anew from {products[0].folder.name} over the height model {heights.name}"
-    document = {"key": key, "project": "", "notes": [note], "inputs": [], "documents": [], "unreadable": {}}
+    written: list[Path] = []
+    if project is not None and documents is not None:
+        over = replace(project, heights=heights, notes=(*project.notes, note))
+        coverage = survey_coverage(project.survey, heights)
+        written = list(documents(RunResult(out, over, results, coverage, key)))
+    if write_seam_file(out / SEAM_FILE, [r.product.job for r in results]):
+        written.append(out / SEAM_FILE)
+    place.remove_stale({name for r in results for name in r.product.files.hashes} | {p.name for p in written})
+    document = {
+        "key": key,
+        "project": project.name if project is not None else "",
+        "notes": [note],
+        "inputs": [],
+        "documents": sorted(path.name for path in written),
+        "unreadable": {},
+    }
     write_stereo_json(out / "stereo.json", [r.product for r in results], document)
     place.forget()
     return results
