@@ -7,7 +7,9 @@ import re
 import sys
 from pathlib import Path
 
+from sphinx.addnodes import pending_xref, pending_xref_condition
 from sphinx.application import Sphinx
+from sphinx.transforms.post_transforms import ReferencesResolver, SphinxPostTransform
 
 DOCS = Path(__file__).parent
 PACKAGE = DOCS.parent / "src" / "stereomate"
@@ -39,8 +41,6 @@ napoleon_use_rtype = False
 # Fields of a dataclass are told once, where its docstring explains them.
 napoleon_use_ivar = True
 add_module_names = False
-# Fields like `path` belong to several classes; their names in lists of attributes are no links.
-suppress_warnings = ["ref.python"]
 python_use_unqualified_type_names = True
 
 html_theme = "furo"
@@ -188,6 +188,21 @@ def commands_page() -> str:
     return "\n".join(lines)
 
 
+class WordsAreNoLinks(SphinxPostTransform):
+    """Types like ``ndarray, shape (n, 2)`` or ``path`` are words: no link to whatever field is called so."""
+
+    default_priority = ReferencesResolver.default_priority - 5
+
+    def run(self, **_: object) -> None:
+        for node in list(self.document.findall(pending_xref)):
+            is_type = node.get("refdomain") == "py" and node.get("reftype") in ("class", "obj", "exc")
+            if is_type and re.fullmatch("[a-z][a-z0-9_]*", node["reftarget"]):
+                # The long form of the two that are offered; else the words as they stand.
+                last = node.children[-1]
+                words = last.children if isinstance(last, pending_xref_condition) else node.children
+                node.replace_self(words)
+
+
 def _write_if_changed(path: Path, text: str) -> None:
     path.parent.mkdir(exist_ok=True)
     if not path.exists() or path.read_text(encoding="utf-8") != text:
@@ -211,3 +226,4 @@ def setup(app: Sphinx) -> None:
     """Sphinx calls this."""
     app.connect("config-inited", _write_pages)
     app.connect("autodoc-process-docstring", _plain_bars)
+    app.add_post_transform(WordsAreNoLinks)

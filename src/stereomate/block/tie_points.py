@@ -50,9 +50,9 @@ class TiePointOptions:
 
     Parameters
     ----------
-    automatic : AutomaticOptions
+    automatic : stereomate.relative.feature_pairs.AutomaticOptions
         Features, matching and relative orientation of pairs.
-    pairs : PairOptions
+    pairs : stereomate.block.start_pairs.PairOptions
     thinning : ThinningOptions
     """
 

@@ -68,10 +68,10 @@ class SurfaceModelOptions:
     Attributes
     ----------
     plan : PlanOptions
-    pair : PairOptions
+    pair : stereomate.dense.pair_surface.PairOptions
     speckle_cells, filled_cells : int
         As in `FusionOptions`.
-    terrain : TerrainOptions
+    terrain : stereomate.dense.terrain_model.TerrainOptions
     """
 
     plan: PlanOptions = field(default_factory=PlanOptions)
