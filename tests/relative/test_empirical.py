@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
 from stereomate.errors import InputError, NotDeterminedError
+from stereomate.relative.coplanarity import adjust_coplanarity
 from stereomate.relative.drawing import section_drawing
+from stereomate.relative.elements import pose_from_dependent
 from stereomate.relative.empirical.procedure import (
     RULES,
     Procedure,
@@ -40,6 +42,7 @@ from stereomate.relative.empirical.projectors import (
 from stereomate.relative.empirical.run import EmpiricalOptions, eliminate, run_empirical, whole_factor
 from stereomate.relative.empirical.scenes import StandardTerrain, section_profiles, wrong_orientation
 from stereomate.relative.overcorrection import overcorrection_factor, tilt_standard_deviation
+from stereomate.relative.pair import correspondences_from_photo
 
 MOUNTAIN = (0.0, 0.05, 0.2, 0.1, 0.15, -0.1)
 ONE_SIDE = (0.0, 0.0, 0.0, 0.0, 0.15, 0.15)
@@ -399,11 +402,21 @@ def test_formula_drawing_simulator_and_least_squares_agree_or_all_say_critical(t
 
     jacobian = parallax_jacobian(model, truth, motions) / [1, 1, 1500, 1500, 1500]
     singular = np.linalg.svd(jacobian, compute_uv=False)
+    # The rigorous adjustment of the same five points, from the true orientation: its stated deviation.
+    sides = (rays[:, :2] / -rays[:, 2:] for rays in (model.left, model.right))
+    rigorous = correspondences_from_photo(*sides, 1.0, 1e-6)
+    right = truth.right
+    start = pose_from_dependent(right.by, right.bz, right.omega, right.phi, right.kappa, bx=terrain.base)
+    at_truth = adjust_coplanarity(rigorous, start)
+    # Errors of left and right image coordinates alike: in the model they grow with the depth.
+    stated = tilt_standard_deviation(section, math.sqrt(2.0) * 1e-6 * section[:, 1])
     if abs(n) > 50:
         # Near the circle all four say that it is badly determined.
         assert abs(drawing.factor) > 50
         assert abs(whole_factor(model, truth, dependent_pair())) > 20
         assert singular[-1] < 0.1 * singular[-2]
+        assert stated > 2e-5
+        assert at_truth.singular or at_truth.dependent().standard_deviations[2] > 0.3 * min(stated, 1e-3)
         return
     assume(abs(n) < 30)
     solution = least_squares(
@@ -411,6 +424,10 @@ def test_formula_drawing_simulator_and_least_squares_agree_or_all_say_critical(t
     )
     assert np.abs(solution.fun).max() < 1e-8
     assert solution.x[2] == pytest.approx(truth.right.omega, abs=1e-9)
+    level = pose_from_dependent(0.0, 0.0, 0.0, 0.0, 0.0, bx=terrain.base)
+    adjusted = adjust_coplanarity(rigorous, level).dependent(terrain.base)
+    assert adjusted["omega"] == pytest.approx(truth.right.omega, abs=1e-9)
+    assert adjusted.standard_deviations[2] == pytest.approx(stated, rel=0.1)
     assert run.outcome == "cleared"
     assert run.setting.right.omega == pytest.approx(solution.x[2], abs=2e-5)
 
