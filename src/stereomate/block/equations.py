@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpbtrf, dpotrf, dpotrs
 
 from stereomate.block.kernels import normal, system
+from stereomate.block.kernels import points as kernel_points
 from stereomate.block.navigation import groups_of
 from stereomate.block.prepared import Prepared
 from stereomate.block.triangular import backward, forward
@@ -200,7 +201,9 @@ def build(
         diagonal_border += weight
         corner.flat[:: q + 1] += weight
     if prepared.any_held:
-        normal.hold(prepared.free_photo, prepared.place, prepared.skew, matrix, border, right, diagonal)
+        kernel_points.hold(
+            prepared.free_photo, prepared.place, prepared.skew, matrix, border, right, diagonal
+        )
     if damping > 0.0:
         _diagonal_of(prepared, matrix)[:] += damping * diagonal
         corner.flat[:: q + 1] += damping * diagonal_border
@@ -253,7 +256,7 @@ def solve(prepared: Prepared, equations: Equations, factored: Factored, state: S
     backward(factored.factor, prepared.skew, y)
     photos = y.reshape(-1, 6)[prepared.place]
     points = np.empty_like(state.points)
-    normal.correct_points(
+    kernel_points.correct_points(
         prepared.start, prepared.photo, state.points, state.centres, prepared.camera_start,
         prepared.camera_of, layout.first, layout.free, equations.information, equations.by_border,
         equations.v_inverse, equations.v_right, photos, shared, points,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrs
 
 from stereomate.block.equations import Equations, Factored
-from stereomate.block.kernels import normal
+from stereomate.block.kernels import points as kernel_points
 from stereomate.block.loop import Solution
 from stereomate.block.triangular import backward, forward
 
@@ -96,7 +96,7 @@ def _solved(
         axis=1,
     )
     shared = np.zeros(len(layout.names))
-    normal.photos_from_points(
+    kernel_points.photos_from_points(
         prepared.start, prepared.photo, state.points, state.centres, prepared.place, prepared.camera_start,
         prepared.camera_of, layout.first, layout.free, equations.information, equations.by_border, values,
         right, shared,
@@ -111,7 +111,7 @@ def _solved(
     backward(factored.factor, prepared.skew, y)
     found = y.reshape(n, 6)[prepared.place] * prepared.free_photo
     out = np.empty_like(points)
-    normal.correct_points(
+    kernel_points.correct_points(
         prepared.start, prepared.photo, state.points, state.centres, prepared.camera_start,
         prepared.camera_of, layout.first, layout.free, equations.information, equations.by_border,
         equations.v_inverse, points, found, shared, out,

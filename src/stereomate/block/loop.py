@@ -30,8 +30,8 @@ _LARGEST_DAMPING: Final = 1e8
 _SINGULAR_DAMPING: Final = 1e-2
 # Steps that promise less than this part of the one before shrink fast: the next one is foreseen.
 _FAST: Final = 0.01
-# Marks at the very edge may be refined to just beyond it.
-_EDGE_PX: Final = 2.0
+# Coordinates that were corrected for distortion may lie as much of the larger side beyond the edge.
+_EDGE: Final = 0.05
 _PHOTO_UNKNOWNS: Final = ("X0", "Y0", "Z0", "rotation x", "rotation y", "rotation z")
 
 
@@ -169,9 +169,10 @@ def run_loop(
 def _outside(network: Network) -> Mask:
     """Image observations that lie outside the pixel array of their photograph."""
     sizes = np.array([entry.camera.size_px for entry in network.cameras], dtype=np.float64)
-    limit = sizes[network.photographs.camera[network.image.photo]] + _EDGE_PX
+    limit = sizes[network.photographs.camera[network.image.photo]]
+    edge = _EDGE * limit.max(axis=1, keepdims=True)
     xy = network.image.xy
-    return np.asarray(((xy < -_EDGE_PX) | (xy > limit)).any(axis=1))
+    return np.asarray(((xy < -edge) | (xy > limit + edge)).any(axis=1))
 
 
 def _outside_note(network: Network, outside: Mask) -> str:

@@ -18,6 +18,7 @@ from scipy.stats import norm
 
 from stereomate.block.equations import Factored, build, factor
 from stereomate.block.freedom import inner_constraints
+from stereomate.block.kernels import blocks
 from stereomate.block.kernels import covariance as kernels
 from stereomate.block.loop import Solution, image_residuals
 from stereomate.block.navigation import Group, groups_of
@@ -99,7 +100,7 @@ class Covariances:
         if skew and distance > self.inverse.shape[1]:
             raise NotDeterminedError("the photographs share no point: ask for the full matrix")
         out = np.empty((6, 6))
-        kernels.pair_block(self.inverse, skew, int(place[first]), int(place[second]), out)
+        blocks.pair_block(self.inverse, skew, int(place[first]), int(place[second]), out)
         return out
 
 
@@ -224,7 +225,7 @@ def statistics_of(
         prepared.skew, inverse, photo_shared, shared, points, computed, on_point, on_photo, photo_point,
     )  # fmt: skip
     photos = np.empty((n, 6, 6))
-    kernels.photo_blocks(inverse, prepared.skew, prepared.place, photos)
+    blocks.photo_blocks(inverse, prepared.skew, prepared.place, photos)
     point_blocks = points[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
     point_blocks[~solution.determined] = np.nan
     by_shared = photo_shared.reshape(n, 6, q)[prepared.place]

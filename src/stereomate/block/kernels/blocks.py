@@ -1,0 +1,44 @@
+"""Blocks of a symmetric matrix that is stored by columns of its lower part, as in `normal`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereomate.jit import inline_kernel, kernel
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@kernel
+def lower(inverse: Array, skew: int, i: int, j: int) -> float:
+    """Entry (i, j) of the symmetric matrix that is stored by columns of its lower part."""
+    if i >= j:
+        value: float = inverse[j, i - skew * j]
+    else:
+        value = inverse[i, j - skew * i]
+    return value
+
+
+@kernel
+def photo_blocks(inverse: Array, skew: int, place: Indices, out: Array) -> None:
+    """6x6 blocks on the diagonal into `out` (n, 6, 6), photographs in their own order."""
+    for k in range(place.shape[0]):
+        own_block(inverse, skew, 6 * place[k], out[k])
+
+
+@inline_kernel
+def own_block(inverse: Array, skew: int, at: int, out: Array) -> None:
+    """6x6 block on the diagonal into `out`."""
+    for b in range(6):
+        for a in range(b, 6):
+            out[a, b] = out[b, a] = inverse[at + b, at + a - skew * (at + b)]
+
+
+@kernel
+def pair_block(inverse: Array, skew: int, first: int, second: int, out: Array) -> None:
+    """6x6 covariance of the photographs at two places of the matrix into `out`, first by second."""
+    for a in range(6):
+        for b in range(6):
+            out[a, b] = lower(inverse, skew, 6 * first + a, 6 * second + b)

@@ -1,0 +1,242 @@
+"""A point taken out of the normal equations: of its photographs, of its cameras, and of what both share."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereomate.block.kernels.small import (
+    Nine,
+    columns_cross,
+    general_symmetric,
+    rows_cross,
+    seen_at,
+    symmetric_vector,
+    times_symmetric,
+)
+from stereomate.jit import inline_kernel
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@inline_kernel
+def eliminate_cameras(
+    v_inverse: Array,
+    y0: float,
+    y1: float,
+    y2: float,
+    cameras: Indices,
+    first: Indices,
+    free: Indices,
+    by_border: Array,
+    solved: Array,
+    corner: Array,
+    right_border: Array,
+) -> None:
+    """Take a point out of the unknowns of its cameras; `solved`: these with the point, times V⁻¹."""
+    for t in range(cameras.shape[0]):
+        c = cameras[t]
+        for f in range(free[c]):
+            w0, w1, w2 = by_border[t, f, 0], by_border[t, f, 1], by_border[t, f, 2]
+            row = first[c] + f
+            right_border[row] -= w0 * y0 + w1 * y1 + w2 * y2
+            s0, s1, s2 = symmetric_vector(v_inverse, w0, w1, w2)
+            solved[t, f, 0], solved[t, f, 1], solved[t, f, 2] = s0, s1, s2
+            for t2 in range(t + 1):
+                c2 = cameras[t2]
+                for g in range(f + 1 if t2 == t else free[c2]):
+                    corner[row, first[c2] + g] -= (
+                        s0 * by_border[t2, g, 0] + s1 * by_border[t2, g, 1] + s2 * by_border[t2, g, 2]
+                    )
+
+
+@inline_kernel
+def eliminate_photos(
+    low: int,
+    high: int,
+    photo: Indices,
+    point: Array,
+    centres: Array,
+    place: Indices,
+    camera: Indices,
+    v_inverse: Array,
+    y0: float,
+    y1: float,
+    y2: float,
+    information: Array,
+    skew: int,
+    band: Array,
+    right: Array,
+    diagonal: Array,
+) -> None:
+    """Add the photographs of a point with themselves and take the point out of all of them."""
+    for i in range(low, high):
+        n = information[i]
+        if n[0] + n[3] + n[5] == 0.0:
+            continue
+        k = photo[i]
+        at = 6 * place[k]
+        dx, dy, dz = seen_at(point, centres[k])
+        g0, g1, g2 = symmetric_vector(n, y0, y1, y2)
+        right[at] += g0
+        right[at + 1] += g1
+        right[at + 2] += g2
+        right[at + 3] -= g1 * dz - g2 * dy
+        right[at + 4] -= g2 * dx - g0 * dz
+        right[at + 5] -= g0 * dy - g1 * dx
+        u = times_symmetric(n, v_inverse)
+        # Itself: N - N V⁻¹ N.
+        c = general_symmetric(u, n)
+        own = (n[0] - c[0], n[1] - c[1], n[2] - c[2], n[1] - c[3], n[3] - c[4], n[4] - c[5],
+               n[2] - c[6], n[4] - c[7], n[5] - c[8])  # fmt: skip
+        e = rows_cross(own, dx, dy, dz)
+        h = columns_cross(e, dx, dy, dz)
+        _add_own(own, e, h, at, skew, band)
+        direct = (n[0], n[1], n[2], n[1], n[3], n[4], n[2], n[4], n[5])
+        turned = columns_cross(rows_cross(direct, dx, dy, dz), dx, dy, dz)
+        diagonal[at] += n[0]
+        diagonal[at + 1] += n[3]
+        diagonal[at + 2] += n[5]
+        diagonal[at + 3] += turned[0]
+        diagonal[at + 4] += turned[4]
+        diagonal[at + 5] += turned[8]
+        for i2 in range(low, i):
+            n2 = information[i2]
+            if n2[0] + n2[3] + n2[5] == 0.0:
+                continue
+            k2 = photo[i2]
+            c = general_symmetric(u, n2)
+            x, y, z = seen_at(point, centres[k2])
+            e = rows_cross(c, x, y, z)
+            _subtract(
+                c,
+                e,
+                columns_cross(c, dx, dy, dz),
+                columns_cross(e, dx, dy, dz),
+                at,
+                6 * place[k2],
+                skew,
+                band,
+            )
+
+
+@inline_kernel
+def _add_own(c: Nine, e: Nine, h: Nine, at: int, skew: int, band: Array) -> None:
+    """Tᵀ C T of one photograph, lower part: [[C, -E], [-Eᵀ, H]], E = C K, H = Kᵀ E."""
+    o = at - skew * at
+    band[at, o] += c[0]
+    band[at, o + 1] += c[3]
+    band[at, o + 2] += c[6]
+    band[at, o + 3] -= e[0]
+    band[at, o + 4] -= e[1]
+    band[at, o + 5] -= e[2]
+    o -= skew
+    band[at + 1, o + 1] += c[4]
+    band[at + 1, o + 2] += c[7]
+    band[at + 1, o + 3] -= e[3]
+    band[at + 1, o + 4] -= e[4]
+    band[at + 1, o + 5] -= e[5]
+    o -= skew
+    band[at + 2, o + 2] += c[8]
+    band[at + 2, o + 3] -= e[6]
+    band[at + 2, o + 4] -= e[7]
+    band[at + 2, o + 5] -= e[8]
+    o -= skew
+    band[at + 3, o + 3] += h[0]
+    band[at + 3, o + 4] += h[3]
+    band[at + 3, o + 5] += h[6]
+    o -= skew
+    band[at + 4, o + 4] += h[4]
+    band[at + 4, o + 5] += h[7]
+    o -= skew
+    band[at + 5, o + 5] += h[8]
+
+
+@inline_kernel
+def _subtract(c: Nine, e: Nine, g: Nine, h: Nine, at: int, before: int, skew: int, band: Array) -> None:
+    """Tᵀ C T₂ of two photographs: [[C, -E], [-G, H]], E = C K₂, G = Kᵀ C, H = Kᵀ C K₂."""
+    o = at - skew * before
+    band[before, o] -= c[0]
+    band[before, o + 1] -= c[3]
+    band[before, o + 2] -= c[6]
+    band[before, o + 3] += g[0]
+    band[before, o + 4] += g[3]
+    band[before, o + 5] += g[6]
+    o -= skew
+    band[before + 1, o] -= c[1]
+    band[before + 1, o + 1] -= c[4]
+    band[before + 1, o + 2] -= c[7]
+    band[before + 1, o + 3] += g[1]
+    band[before + 1, o + 4] += g[4]
+    band[before + 1, o + 5] += g[7]
+    o -= skew
+    band[before + 2, o] -= c[2]
+    band[before + 2, o + 1] -= c[5]
+    band[before + 2, o + 2] -= c[8]
+    band[before + 2, o + 3] += g[2]
+    band[before + 2, o + 4] += g[5]
+    band[before + 2, o + 5] += g[8]
+    o -= skew
+    band[before + 3, o] += e[0]
+    band[before + 3, o + 1] += e[3]
+    band[before + 3, o + 2] += e[6]
+    band[before + 3, o + 3] -= h[0]
+    band[before + 3, o + 4] -= h[3]
+    band[before + 3, o + 5] -= h[6]
+    o -= skew
+    band[before + 4, o] += e[1]
+    band[before + 4, o + 1] += e[4]
+    band[before + 4, o + 2] += e[7]
+    band[before + 4, o + 3] -= h[1]
+    band[before + 4, o + 4] -= h[4]
+    band[before + 4, o + 5] -= h[7]
+    o -= skew
+    band[before + 5, o] += e[2]
+    band[before + 5, o + 1] += e[5]
+    band[before + 5, o + 2] += e[8]
+    band[before + 5, o + 3] -= h[2]
+    band[before + 5, o + 4] -= h[5]
+    band[before + 5, o + 5] -= h[8]
+
+
+@inline_kernel
+def eliminate_border(
+    low: int,
+    high: int,
+    photo: Indices,
+    point: Array,
+    centres: Array,
+    place: Indices,
+    camera: Indices,
+    cameras: Indices,
+    first: Indices,
+    free: Indices,
+    information: Array,
+    single: Array,
+    solved: Array,
+    border: Array,
+) -> None:
+    """Camera unknowns with the photographs of a point: ``(B - B_point V⁻¹ N) T``."""
+    for i in range(low, high):
+        n = information[i]
+        if n[0] + n[3] + n[5] == 0.0:
+            continue
+        k = photo[i]
+        at = 6 * place[k]
+        dx, dy, dz = seen_at(point, centres[k])
+        for t in range(cameras.shape[0]):
+            c = cameras[t]
+            own = c == camera[k]
+            for f in range(free[c]):
+                g0, g1, g2 = symmetric_vector(n, solved[t, f, 0], solved[t, f, 1], solved[t, f, 2])
+                if own:
+                    s = single[i - low, f]
+                    g0, g1, g2 = g0 - s[0], g1 - s[1], g2 - s[2]
+                row = border[first[c] + f]
+                row[at] += g0
+                row[at + 1] += g1
+                row[at + 2] += g2
+                row[at + 3] -= g1 * dz - g2 * dy
+                row[at + 4] -= g2 * dx - g0 * dz
+                row[at + 5] -= g0 * dy - g1 * dx
