@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +24,6 @@ from stereomate.project.orient_layers import LAYERS
 from stereomate.project.orient_report import write_orient_report
 
 SAME = ("adjustment.json", ORIENTATION, "oriented.toml", LAYERS, *TABLES)
-STAGES = ("features", "pairs", "tie points", "start", "refinement", "adjustment")
 
 
 @pytest.fixture(scope="module")
@@ -111,46 +112,55 @@ def test_stated_accuracy_holds(survey: Path, whole: OrientResult) -> None:
     assert float(np.sum(standardized**2)) < 42.3
 
 
-def killer(stage: str, at: int | None) -> Callable[[str, int, int], None]:
-    """Progress that stops the run as Ctrl-C does: when a stage is finished, or at a number of it."""
+# Runs an orientation in a process of its own that kills itself, as a power cut does: when a stage is
+# finished, or at a number of it. What it reached stands in a file.
+VICTIM = """
+import os, signal, sys
+from pathlib import Path
+from stereomate.project.orient import orient
 
-    def progress(name: str, done: int, total: int) -> None:
-        if name == stage and done == (total if at is None else at):
-            raise KeyboardInterrupt
+project, out, stage, at, seen = sys.argv[1:]
 
-    return progress
+
+def progress(name, done, total):
+    with open(seen, "a", encoding="utf-8") as file:
+        file.write(f"{name}\\t{done}\\n")
+    if name == stage and done == (total if at == "-" else int(at)):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+orient(project, Path(out), progress=progress)
+"""
 
 
 @pytest.mark.slow
 def test_killed_at_every_boundary_and_within_the_longest_stages_it_gives_the_same_bytes(
     survey: Path, whole: OrientResult, tmp_path: Path
 ) -> None:
-    """One folder, killed again and again: nothing finished is lost, nothing half is left."""
-    kills = [("features", 3), ("features", None), ("pairs", 5), ("pairs", None), ("refinement", 2)]
-    kills += [(stage, None) for stage in ("tie points", "start", "refinement", "adjustment")]
-    kills.sort(key=lambda kill: (STAGES.index(kill[0]), kill[1] is None))
-    reached: list[tuple[str, int]] = []
+    """One folder, killed again and again with SIGKILL: nothing finished is lost, nothing half is left."""
+    out, log = tmp_path / "out", tmp_path / "seen"
+    kills = [("features", "3"), ("features", "-"), ("pairs", "5"), ("pairs", "-"), ("tie points", "-"),
+             ("start", "-"), ("refinement", "2"), ("refinement", "-"), ("adjustment", "-"),
+             ("documents", "0")]  # fmt: skip
+    reached: dict[str, int] = {}
     for stage, at in kills:
-        seen: list[tuple[str, int]] = []
-        stop = killer(stage, at)
-
-        def progress(
-            name: str, done: int, total: int, seen: list[tuple[str, int]] = seen, stop: object = stop
-        ) -> None:
-            seen.append((name, done))
-            stop(name, done, total)  # type: ignore[operator]
-
-        with pytest.raises(KeyboardInterrupt):
-            orient(survey, tmp_path, progress=progress)
-        assert not (tmp_path / "adjustment.json").exists()
+        log.write_text("", encoding="utf-8")
+        run = subprocess.run(
+            [sys.executable, "-c", VICTIM, str(survey), str(out), stage, at, str(log)], check=False
+        )
+        assert run.returncode == -signal.SIGKILL, (stage, at)
+        assert not (out / "adjustment.json").exists()
+        seen = [
+            (name, int(done)) for name, done in (line.split("\t") for line in log.read_text().splitlines())
+        ]
         # Stages begin where the run before was stopped.
-        for name, done in reached:
+        for name, done in reached.items():
             assert next(d for n, d in seen if n == name) >= done, (stage, name)
         if stage in ("features", "pairs", "refinement"):
-            reached = [entry for entry in reached if entry[0] != stage] + [seen[-1]]
-    orient(survey, tmp_path)
+            reached[stage] = seen[-1][1]
+    orient(survey, out)
     for name in SAME:
-        assert (tmp_path / name).read_bytes() == (whole.out / name).read_bytes(), name
+        assert (out / name).read_bytes() == (whole.out / name).read_bytes(), name
 
 
 @pytest.mark.slow

@@ -180,7 +180,9 @@ def check_project(project: Project) -> CheckReport:
 
 def _plane(project: Project) -> float:
     raise CoverageError(
-        "needs a height model: without one nothing says where the ground is", file=project.path
+        "needs a height model: without one nothing says where the ground is",
+        file=project.path,
+        hint="stereomate surface matches one from the oriented photographs, and run does it by itself",
     )
 
 

@@ -170,10 +170,17 @@ def _turned(inputs: OrientInputs, adjusted: Adjusted) -> list[str]:
         turn = stated.T @ adjusted.result.rotations[k]
         angle = math.acos(max(-1.0, min(1.0, (float(np.trace(turn)) - 1.0) / 2.0)))
         if angle > _TURNED:
-            found.setdefault(round(math.degrees(angle) / 90.0) * 90, []).append(inputs.photos[photo].name)
+            quarter = round(math.degrees(angle) / 90.0) * 90
+            turned = abs(math.degrees(angle) - quarter) < math.degrees(_TURNED) and quarter > 0
+            found.setdefault(quarter if turned else 0, []).append(inputs.photos[photo].name)
     return [
-        f"{len(names)} photographs are turned by about {angle}° against their stated angles (their pixels "
-        f"are stored so): {', '.join(names[:8])}"
+        (
+            f"{len(names)} photographs are turned by about {angle}° against their stated angles (their pixels "
+            f"are stored so): {', '.join(names[:8])}"
+            if angle
+            else f"{len(names)} photographs lie otherwise than their stated angles say, by more than "
+            f"{math.degrees(_TURNED):.0f}°: {', '.join(names[:8])}"
+        )
         for angle, names in sorted(found.items())
     ]
 
