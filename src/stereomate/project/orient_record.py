@@ -175,8 +175,8 @@ def _turned(inputs: OrientInputs, adjusted: Adjusted) -> list[str]:
             found.setdefault(quarter if turned else 0, []).append(inputs.photos[photo].name)
     return [
         (
-            f"{len(names)} photographs are turned by about {angle}° against their stated angles (their pixels "
-            f"are stored so): {', '.join(names[:8])}"
+            f"{len(names)} photographs are turned by about {angle}° against their stated angles (their "
+            f"pixels are stored so): {', '.join(names[:8])}"
             if angle
             else f"{len(names)} photographs lie otherwise than their stated angles say, by more than "
             f"{math.degrees(_TURNED):.0f}°: {', '.join(names[:8])}"
