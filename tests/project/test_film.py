@@ -162,6 +162,7 @@ def test_every_scan_has_the_camera_of_its_own_marks(survey: tuple[Path, Path], f
         np.testing.assert_allclose(scan, lying(pixels + MARGIN, *way), atol=0.3)
 
 
+@pytest.mark.slow
 def test_film_is_oriented_from_its_scans(
     survey: tuple[Path, Path], found: list[dict], tmp_path: Path
 ) -> None:

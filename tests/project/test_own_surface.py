@@ -14,6 +14,9 @@ from stereomate.project import load
 from stereomate.project.own_surface import make_own_surface
 
 
+pytestmark = pytest.mark.slow
+
+
 @pytest.fixture(scope="module")
 def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three rendered photographs with orientation; the project file names no terrain."""
@@ -43,7 +46,6 @@ def test_the_project_with_its_own_height_model_is_that_of_the_truth(survey: Path
     np.testing.assert_allclose(found, terrain_heights(survey.parent / "heights.tif", place), atol=0.5)
 
 
-@pytest.mark.slow
 def test_run_makes_its_own_height_model(survey: Path, tmp_path: Path) -> None:
     with pytest.raises(SystemExit) as end:
         main.run(["run", str(survey), "-o", str(tmp_path), "-q", "--no-agreement"])
