@@ -8,7 +8,8 @@ from scipy.ndimage import spline_filter
 
 from stereomate.measurement.kernels.least_squares import CONVERGED, OUTSIDE, match_patch
 from stereomate.measurement.kernels.matching import two_largest
-from stereomate.measurement.kernels.noise import spline_weights, unit_noise
+from stereomate.measurement.kernels.noise import unit_noise
+from stereomate.measurement.kernels.splines import spline_weights
 from stereomate.relative.kernels.coplanarity import adjust, closure_and_image_derivatives, coplanarity
 from stereomate.relative.kernels.five_point import MAX_SOLUTIONS, five_point
 from stereomate.relative.kernels.polynomial import real_roots
@@ -149,14 +150,12 @@ def test_noise_is_carried_back_to_the_pixels():
     unit_noise(coefficients, radius, p, TAPS, right_taps, out)
     smooth = [sum(w * np.eye(size, k=k - len(t) // 2) for k, w in enumerate(t)) for t in (TAPS, right_taps)]
     take_left, take_right = np.zeros((side**2, size**2)), np.zeros((side**2, size**2))
-    weights = [np.empty(4), np.empty(4)]
     for row in range(side):
         for col in range(side):
             u, v = col - radius, row - radius
             take_left[row * side + col, (12 + v) * size + 12 + u] = 1.0
             x, y = p[0] + p[1] * u + p[2] * v - 0.5, p[3] + p[4] * u + p[5] * v - 0.5
-            spline_weights(x - np.floor(x), weights[0])
-            spline_weights(y - np.floor(y), weights[1])
+            weights = spline_weights(x - np.floor(x)), spline_weights(y - np.floor(y))
             for m, k in np.ndindex(4, 4):
                 pixel = (int(np.floor(y)) - 1 + m) * size + int(np.floor(x)) - 1 + k
                 take_right[row * side + col, pixel] = weights[1][m] * weights[0][k]

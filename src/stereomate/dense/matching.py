@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import spline_filter
 
-from stereomate.dense import kernels
+from stereomate.dense.kernels import refine as kernels
 from stereomate.dense.semiglobal import SemiglobalOptions, semiglobal_parallax
 from stereomate.errors import InputError
 

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from stereomate.geometry.kernels import solve_symmetric
 from stereomate.jit import kernel
-from stereomate.measurement.kernels.noise import spline_weights, unit_noise
+from stereomate.measurement.kernels.noise import unit_noise
+from stereomate.measurement.kernels.splines import spline_weights
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -37,7 +38,7 @@ UNLIKE = 6
 @kernel
 def _weights(t: float, w: Array, d: Array) -> None:
     """Weights of the four coefficients at fraction t, and their derivatives."""
-    spline_weights(t, w)
+    w[0], w[1], w[2], w[3] = spline_weights(t)
     rest = 1.0 - t
     d[0] = -0.5 * rest * rest
     d[1] = 1.5 * t * t - 2.0 * t

@@ -16,20 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.jit import kernel
+from stereomate.measurement.kernels.splines import spline_weights
 
 Array = NDArray[np.float64]
-
-
-@kernel
-def spline_weights(t: float, w: Array) -> None:
-    """Cubic B-splines (4,) at fraction t: weights of the four coefficients around."""
-    t2 = t * t
-    t3 = t2 * t
-    rest = 1.0 - t
-    w[0] = rest * rest * rest / 6.0
-    w[1] = (3.0 * t3 - 6.0 * t2 + 4.0) / 6.0
-    w[2] = (-3.0 * t3 + 3.0 * t2 + 3.0 * t + 1.0) / 6.0
-    w[3] = t3 / 6.0
 
 
 @kernel
@@ -112,8 +101,8 @@ def unit_noise(
             u = float(i - radius)
             x, y = p[0] + p[1] * u + p[2] * v - 0.5, p[3] + p[4] * u + p[5] * v - 0.5
             col, row = int(np.floor(x)), int(np.floor(y))
-            spline_weights(x - col, wx)
-            spline_weights(y - row, wy)
+            wx[0], wx[1], wx[2], wx[3] = spline_weights(x - col)
+            wy[0], wy[1], wy[2], wy[3] = spline_weights(y - row)
             trace += gain * gain * _kept(wx, r) * _kept(wy, r)
             by_x, by_y = gain * coefficients[0, j, i], gain * coefficients[1, j, i]
             for m in range(4):

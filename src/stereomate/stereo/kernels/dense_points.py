@@ -11,8 +11,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from stereomate.dense.kernels import spline_weights
 from stereomate.jit import inline_kernel, kernel
+from stereomate.measurement.kernels.splines import spline_weights
 from stereomate.terrain.kernels.sampling import CUBIC, bilinear_gradient, cubic_gradient, sample
 
 Floats = NDArray[np.float64]
