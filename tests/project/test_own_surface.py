@@ -13,7 +13,6 @@ from stereomate.cli import main
 from stereomate.project import load
 from stereomate.project.own_surface import make_own_surface
 
-
 pytestmark = pytest.mark.slow
 
 
