@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,33 +20,12 @@ from stereomate.formats.vector import read_features
 from stereomate.frames.heights import HeightSystem
 from stereomate.stereo.lineage import LineageRule
 from stereomate.synthetic.files import write_survey
-from stereomate.synthetic.options import SurveyOptions
 from stereomate.synthetic.survey import make_survey
 from stereomate.terrain.model import HeightModel
+from surveys import SMALLEST
+from surveys import stereomate_says as run
 
-OPTIONS = SurveyOptions(
-    seed=3,
-    strips=1,
-    photos_per_strip=3,
-    size_px=(160, 120),
-    gsd_m=1.0,
-    flying_height_m=200.0,
-    pixel_pitch_mm=0.2,
-    relief_m=30.0,
-    terrain_step_m=4.0,
-    buildings=3,
-    trees=10,
-    control_points=2,
-    check_points=2,
-)
-
-
-def run(*arguments) -> str:
-    result = CliRunner().invoke(application(), [str(a) for a in arguments])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    assert result.exit_code == 0, result.output
-    return result.output
+OPTIONS = replace(SMALLEST, photos_per_strip=3)
 
 
 @pytest.fixture(scope="module")
@@ -53,11 +33,7 @@ def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("stereo")
     survey = make_survey(OPTIONS)
     files = write_survey(survey, folder)
-    result = CliRunner().invoke(
-        application(),
-        ["--threads", "1", "--quiet", "run", str(files.project), "--out", str(folder / "out")],
-    )
-    assert result.exit_code == 0, result.output
+    run("--quiet", "run", files.project, "--out", folder / "out")
     return survey, files, folder / "out"
 
 
@@ -227,7 +203,7 @@ def test_the_fitted_law_is_used_by_a_run(made, tmp_path):
     run("laws", project, "--write", folder / "law.csv")
     text = project.read_text().replace('law = "logarithmic"', 'law = "table"\nlaw_table = "law.csv"')
     project.write_text(text)
-    run("--threads", "1", "--quiet", "run", project, "--out", folder / "out")
+    run("--quiet", "run", project, "--out", folder / "out")
     product = stereomate.StereoProduct.open(folder / "out")
     assert product.job.law.kind == "table"
     truth = write_pairs(tmp_path / "pairs.csv", product)

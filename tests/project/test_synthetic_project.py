@@ -9,29 +9,13 @@ from stereomate.frames.transform import map_from_tangent, tangent_from_map
 from stereomate.project import load
 from stereomate.project.check import check_project
 from stereomate.synthetic.files import write_survey
-from stereomate.synthetic.options import SurveyOptions
 from stereomate.synthetic.survey import make_survey
-
-OPTIONS = SurveyOptions(
-    seed=3,
-    strips=1,
-    photos_per_strip=2,
-    size_px=(160, 120),
-    gsd_m=1.0,
-    flying_height_m=200.0,
-    pixel_pitch_mm=0.2,
-    relief_m=30.0,
-    terrain_step_m=4.0,
-    buildings=3,
-    trees=10,
-    control_points=2,
-    check_points=2,
-)
+from surveys import SMALLEST
 
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
-    survey = make_survey(OPTIONS)
+    survey = make_survey(SMALLEST)
     return survey, write_survey(survey, tmp_path_factory.mktemp("synthetic"))
 
 
@@ -56,10 +40,10 @@ def test_check_finds_what_was_planned(written):
     report = check_project(load(files.project))
     assert report.is_good
     (pair,) = report.pairs
-    assert pair.overlap == pytest.approx(OPTIONS.forward_overlap, abs=0.06)
-    assert pair.base_m == pytest.approx(OPTIONS.base_m, abs=3 * OPTIONS.position_sigma_m)
+    assert pair.overlap == pytest.approx(SMALLEST.forward_overlap, abs=0.06)
+    assert pair.base_m == pytest.approx(SMALLEST.base_m, abs=3 * SMALLEST.position_sigma_m)
     for row in report.photographs:
-        assert row.gsd_m == pytest.approx(OPTIONS.gsd_m, rel=0.06)
+        assert row.gsd_m == pytest.approx(SMALLEST.gsd_m, rel=0.06)
         assert row.covered == 1.0
 
 

@@ -27,6 +27,7 @@ from stereomate.stereo.surface import JobSurface
 from stereomate.synthetic.files import write_survey
 from stereomate.synthetic.options import SurveyOptions
 from stereomate.synthetic.survey import make_survey
+from surveys import stereomate_says as run
 
 OPTIONS = SurveyOptions(
     seed=7,
@@ -43,14 +44,6 @@ OPTIONS = SurveyOptions(
     check_points=2,
 )
 ERRORS = {"hill": -8.0, "step": 3.0, "tilt": 0.004}
-
-
-def run(*arguments) -> str:
-    result = CliRunner().invoke(application(), ["--threads", "1", *[str(a) for a in arguments]])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    assert result.exit_code == 0, result.output
-    return result.output
 
 
 @pytest.fixture(scope="module")
