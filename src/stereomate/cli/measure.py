@@ -114,7 +114,9 @@ def _print(columns: dict[str, list[Any]], found: Measurement, path: Path | None)
         f"{s['law_minus_exact_largest_m']:.2f} m at most."
     )
     count = f"{s['reliable']} of {s['points']} points reliable, {s['refused']} refused."
-    for sentence in (count, accuracy, law, f"Rays miss each other by {s['miss_rms_m']:.3f} m rms."):
+    miss = f"Rays miss each other by {s['miss_rms_m']:.3f} m rms."
+    # the figures are those of reliable points
+    for sentence in (count, accuracy, law, miss) if s["reliable"] else (count,):
         out.print(sentence, highlight=False)
     if path is not None:
         out.print(f"points: {path}")
