@@ -13,6 +13,7 @@ from scipy.stats import binom, chi2
 
 from stereomate.block import prepared
 from stereomate.block.adjustment import adjust_block
+from stereomate.block.equations import build
 from stereomate.block.navigation import groups_of
 from stereomate.block.network import Attitudes, BlockCamera, Control, ImagePoints, Network, Positions
 from stereomate.block.options import BlockOptions, TestOptions
@@ -125,6 +126,38 @@ def test_minimal_detectable_error_and_its_influence(calibrated, dense):
     at = 6 * other.n + 3 * j
     assert s.on_point[m, axis] == pytest.approx(np.linalg.norm(motion[at : at + 3]), rel=1e-4)
     assert s.on_photo[m, axis] == pytest.approx(np.linalg.norm(motion[6 * k : 6 * k + 3]), rel=1e-4)
+
+
+def test_several_cameras_are_told_apart():
+    """Three cameras, one of them held: redundancy numbers sum up, and there is no better place near."""
+    block = make_block(columns=4, rows=3, per_photo=30, gnss=0.05, control=6)
+    camera = block.network.cameras[0].camera
+    free = {"principal_distance_mm": math.inf, "k1": math.inf}
+    cameras = (
+        BlockCamera(camera, free),
+        BlockCamera(replace(camera, name="held")),
+        BlockCamera(replace(camera, name="other"), {"principal_distance_mm": 0.01, "p1": math.inf}),
+    )
+    photographs = replace(block.network.photographs, camera=np.arange(12) % 3)
+    network = replace(block.network, cameras=cameras, photographs=photographs)
+    result = adjust_block(network, PRIOR)
+    s = result.statistics
+    total = sum(np.nansum(part.redundancy) for part in (s.image, s.control, s.positions, s.priors))
+    assert total == pytest.approx(result.redundancy, abs=1e-6)
+    assert result.shared_names == (
+        "drone: principal_distance_mm", "drone: k1", "other: principal_distance_mm", "other: p1",
+    )  # fmt: skip
+    state, prepared = result.solution.state, result.solution.prepared
+
+    def cost(shared):
+        there = moved(state, prepared.layout, np.zeros((12, 6)), np.zeros_like(state.points), shared)
+        return build(prepared, there, result.solution.start).cost
+
+    for k, sigma in enumerate(s.shared_sigma):
+        step = np.zeros(4)
+        step[k] = 1e-3 * sigma
+        assert abs(cost(step) - cost(-step)) < 1e-4 * cost(step - step)
+        assert cost(step) > cost(step - step)
 
 
 def test_detection_limit_is_baardas():
