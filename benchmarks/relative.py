@@ -2,8 +2,8 @@
 
 OpenCV is the one this package itself runs with; poselib runs in a virtual environment of its own
 (`.venv-peers`, made with ``python -m venv .venv-peers`` and ``pip install poselib``). Every peer has a
-process of its own, one thread, and gets the same correspondences by a file; rows of peers that are not there, or crash,
-say so. Times are CPU times of the process: they do not count what else the machine does.
+process of its own, one thread, and gets the same correspondences by a file; rows of peers that are not
+there, or crash, say so. Times are CPU times of the process: they do not count what else the machine does.
 Errors are paired: every seed is solved by both, and compared with least squares over the true inliers.
 """
 
