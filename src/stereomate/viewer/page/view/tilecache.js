@@ -3,8 +3,6 @@
 import { fetchBitmap } from '../files.js';
 
 const CONCURRENT = 12;
-// Of tiles around the view, fetched when all that it shows are there.
-const SPARE = 4;
 const UPLOAD_MS = 2;
 const RETRY_MS = [1000, 4000, 15000];
 
@@ -22,13 +20,11 @@ export class TileCache {
     this.apron = tiles.apron;
     this.levels = tiles.levels;
     this.size = grid.size;
-    // one megabyte each: those of both eyes in the view and around it, and some more
+    // one megabyte each: those that a large screen shows of both eyes at two levels
     const pixels = window.innerWidth * window.innerHeight * Math.min(window.devicePixelRatio || 1, 2) ** 2;
-    this.capacity = Math.min(320, Math.max(128, Math.ceil(10 * pixels / this.tile ** 2) + 64));
+    this.capacity = Math.min(320, Math.max(96, Math.ceil(6 * pixels / this.tile ** 2) + 48));
     this.resident = new Map();
     this.waiting = new Map();
-    this.spare = new Map();
-    this.begun = new Set();
     this.shown = new Set();
     this.loading = new Map();
     this.ready = [];
@@ -49,32 +45,19 @@ export class TileCache {
     return tile;
   }
 
-  // Say which tiles the view shows, in the order of their importance, and which lie around it; others that
-  // wait are given up.
-  want({ shown, around }) {
+  // Say which tiles the view shows, in the order of their importance; others that wait are given up.
+  want(shown) {
     this.waiting.clear();
-    this.spare.clear();
     // the first picture is the coarsest one: nothing else is asked for before it is there
-    if (this.resident.size === 0) {
-      shown = shown.filter(([, level]) => level === this.levels - 1);
-      around = [];
-    }
+    if (this.resident.size === 0) shown = shown.filter(([, level]) => level === this.levels - 1);
     this.shown = new Set(shown.map(keyOf));
-    // what lies around stays as long as the view itself fits; what was begun of it is let come
-    const more = shown.length + around.length < this.capacity ? around : [];
-    const wanted = new Set([...this.shown, ...this.begun]);
-    for (const [list, queue] of [[shown, this.waiting], [more, this.spare]]) {
-      for (const place of list) {
-        const key = keyOf(place);
-        wanted.add(key);
-        const tile = this.resident.get(key);
-        if (tile) tile.used = this.frame;
-        else if (!this.loading.has(key) && !this.#isBlocked(key)) queue.set(key, place);
-      }
+    for (const place of shown) {
+      const key = keyOf(place);
+      if (!this.resident.has(key) && !this.loading.has(key) && !this.#isBlocked(key)) this.waiting.set(key, place);
     }
-    for (const [key, job] of this.loading) if (!wanted.has(key)) job.abort();
+    for (const [key, job] of this.loading) if (!this.shown.has(key)) job.abort();
     this.ready = this.ready.filter((tile) => {
-      if (wanted.has(tile.key)) return true;
+      if (this.shown.has(tile.key)) return true;
       this.loading.delete(tile.key);
       tile.bitmap.close();
       return false;
@@ -91,13 +74,6 @@ export class TileCache {
     for (const [key, place] of this.waiting) {
       if (this.loading.size >= CONCURRENT) return;
       this.waiting.delete(key);
-      this.#fetch(key, place);
-    }
-    if (this.isBusy) return;
-    for (const [key, place] of this.spare) {
-      if (this.loading.size >= SPARE) return;
-      this.spare.delete(key);
-      this.begun.add(key);
       this.#fetch(key, place);
     }
   }
@@ -117,7 +93,6 @@ export class TileCache {
       }
     } catch (error) {
       this.loading.delete(key);
-      this.begun.delete(key);
       if (error.name !== 'AbortError') this.#failure(key, error);
     }
     this.#next();
@@ -145,7 +120,6 @@ export class TileCache {
   }
 
   #put({ key, place, bitmap }) {
-    this.begun.delete(key);
     if (this.resident.has(key)) {
       this.uploadedTwice++;
       bitmap.close();
@@ -186,11 +160,8 @@ export class TileCache {
     this.resident.clear();
   }
 
-  // Whether a tile that the view shows is still to come.
   get isBusy() {
-    if (this.waiting.size > 0) return true;
-    for (const key of this.loading.keys()) if (this.shown.has(key)) return true;
-    return false;
+    return this.waiting.size + this.loading.size + this.ready.length > 0;
   }
 
   get failures() {

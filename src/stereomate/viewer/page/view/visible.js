@@ -1,4 +1,4 @@
-// Which tiles a view shows, with parts of coarser ones where they are not there yet, and which lie around it.
+// Which tiles a view shows, with parts of coarser ones where they are not there yet.
 
 import { EYES } from './tilecache.js';
 
@@ -10,7 +10,6 @@ export class Visible {
 
   begin() {
     this.shown = [];
-    this.around = [];
   }
 
   // Level whose pixels are nearest to those of the screen.
@@ -24,7 +23,6 @@ export class Visible {
     const left = view.cx - width / (2 * view.zoom) - high, right = view.cx + width / (2 * view.zoom) - low;
     const top = view.cy - height / (2 * view.zoom), bottom = view.cy + height / (2 * view.zoom);
     const edge = tile * 2 ** level, [cols, rows] = this.cache.levelSize(level);
-    const within = (n, count) => Math.min(Math.max(n, 0), Math.ceil(count / tile) - 1);
     const c0 = Math.max(Math.floor(left / edge), 0), c1 = Math.min(Math.floor(right / edge), Math.ceil(cols / tile) - 1);
     const r0 = Math.max(Math.floor(top / edge), 0), r1 = Math.min(Math.floor(bottom / edge), Math.ceil(rows / tile) - 1);
     for (let row = r0; row <= r1; row++) {
@@ -32,14 +30,6 @@ export class Visible {
         this.shown.push([name, level, col, row]);
         const part = this.#part(name, level, col, row);
         if (part) parts.push(part);
-      }
-    }
-    // the next tiles on every side: where one pans to
-    if (c1 >= c0 && r1 >= r0) {
-      for (let row = within(r0 - 1, rows); row <= within(r1 + 1, rows); row++) {
-        for (let col = within(c0 - 1, cols); col <= within(c1 + 1, cols); col++) {
-          if (row < r0 || row > r1 || col < c0 || col > c1) this.around.push([name, level, col, row]);
-        }
       }
     }
     this.#coarsest(name);
@@ -81,6 +71,6 @@ export class Visible {
       return Math.hypot((col + 0.5) * edge - view.cx, (row + 0.5) * edge - view.cy);
     };
     const sorted = (list) => list.map((place) => [distance(place), place]).sort((a, b) => a[0] - b[0]).map(([, place]) => place);
-    return { shown: sorted(this.shown), around: sorted(this.around) };
+    return sorted(this.shown);
   }
 }
