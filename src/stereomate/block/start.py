@@ -177,7 +177,7 @@ def _placed(
     joined = model.joined
     sources = []
     if control is not None:
-        sources.append(_control_places(model, cameras, control))
+        sources.append(control_places(model.centres, model.rotations, cameras, control))
     if positions is not None:
         known = joined & np.isfinite(positions.centres).all(axis=1)
         sources.append(
@@ -196,10 +196,11 @@ def _placed(
     return StartPart(np.flatnonzero(joined), model.centres, model.rotations, model.points, used, datum)
 
 
-def _control_places(model: Model, cameras: Sequence[Camera], control: KnownPoints) -> Places:
-    """Control points intersected in the model."""
-    joined = model.joined
-    rows = np.flatnonzero(joined[control.photo])
+def control_places(
+    centres: Array, rotations: Array, cameras: Sequence[Camera], control: KnownPoints
+) -> Places:
+    """Control points intersected by oriented photographs (those without orientation are NaN)."""
+    rows = np.flatnonzero(np.isfinite(centres[control.photo, 0]))
     image = np.array(
         [cameras[control.photo[r]].rays_from_image(control.pixels[r])[:2] for r in rows.tolist()]
     ).reshape(-1, 2)
@@ -207,7 +208,7 @@ def _control_places(model: Model, cameras: Sequence[Camera], control: KnownPoint
     rows, image = rows[good], image[good]
     photo = control.photo[rows]
     sigma = np.array([1.0 / principal_distance_px(cameras[k]) for k in photo.tolist()])
-    rays = Rays(control.point[rows], model.centres[photo], model.rotations[photo], image, sigma)
+    rays = Rays(control.point[rows], centres[photo], rotations[photo], image, sigma)
     found = intersect_rays(rays, len(control.names)).points
     known = np.flatnonzero(np.isfinite(found).all(axis=1))
     return Places(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from stereomate.block.adjustment import BlockAdjustment, adjust_block
-from stereomate.errors import InputError
+from stereomate.errors import InputError, NotDeterminedError
 from stereomate.frames.adjusted import grid_height_excess_m
 from stereomate.frames.mapframe import MapFrame
 from stereomate.frames.tangent import TangentFrame
@@ -71,6 +71,8 @@ def find_systematic_shift(
     ------
     InputError
         If there are no positions or no control: nothing to see a shift by.
+    NotDeterminedError
+        If the adjustment with the shift does not converge.
     """
     network, options = adjustment.network, adjustment.options
     positions, control = network.positions, network.control
@@ -80,7 +82,8 @@ def find_systematic_shift(
     shifted = replace(positions, strip=strips, shift=True, drift=False)
     again = adjust_block(replace(network, positions=shifted), replace(options, statistics=True))
     statistics = again.statistics
-    assert statistics is not None
+    if statistics is None:
+        raise NotDeterminedError("shift of the positions: the adjustment with it does not converge")
     at = again.shared_names.index("strip 0: shift x")
     shift, sigma = again.shared[at : at + 3], statistics.shared_sigma[at : at + 3]
     significant = np.abs(shift) > norm.isf(options.tests.alpha / 2.0) * sigma

@@ -19,6 +19,7 @@ from stereomate.errors import NotDeterminedError
 from stereomate.project.orient_inputs import OrientInputs
 from stereomate.project.orient_measure import Measured, control_measurements
 from stereomate.project.orient_photos import shared_pixels
+from stereomate.project.orient_screen import screen
 
 Array = NDArray[np.float64]
 
@@ -83,8 +84,12 @@ def adjust_measured(
     ------
     NotDeterminedError
         If the observations do not determine the orientation.
+    CrsError, HeightSystemError, ProjectError
+        If a unit or the principal distance is wrong: `screen`.
     """
-    findings: list[str] = []
+    screened = screen(inputs, measured)
+    inputs, measured = screened.inputs, screened.measured
+    findings = list(screened.findings)
     at, left_out = _taking_part(measured, findings)
     options = BlockOptions(
         robust="snooping",
@@ -320,16 +325,10 @@ def _taking_part(measured: Measured, findings: list[str]) -> tuple[Approximate, 
         rotations[list(part.photos)] = part.rotations
         findings += part.notes
         findings += [
-            f"{part.datum}: {_outlier(measured, part.datum, name)} contradicts the others{_left(part.datum)}"
+            f"{part.datum}: {_outlier(measured, part.datum, name)} contradicts the others"
             for name in part.outliers
         ]
     return Approximate(centres, rotations, measured.points, bool(with_datum)), left_out
-
-
-def _left(datum: str) -> str:
-    if datum != "control":
-        return ""
-    return " by far and is left out: is it the right point, are its coordinates swapped or in another unit?"
 
 
 def _outlier(measured: Measured, kind: str, name: str) -> str:
@@ -349,12 +348,8 @@ def _block_data(inputs: OrientInputs, measured: Measured) -> BlockData:
         if rows is not None and inputs.control.is_placed:
             point, photo_of, pixels, sigma = rows
             c = inputs.control
-            # What contradicted the others at the start by far would only tear the block.
-            wrong = {name for part in measured.parts if part.datum == "control" for name in part.outliers}
-            keep = np.array([name not in wrong for name in c.names])
-            xyz = np.where(keep[:, None], c.tangent_xyz, np.nan)
             pixels = shared_pixels(inputs.photos, photo_of, pixels)
-            control = KnownPoints(c.names, xyz, c.sigma_m, point, photo_of, pixels)
+            control = KnownPoints(c.names, c.tangent_xyz, c.sigma_m, point, photo_of, pixels)
             check = c.check
     ties = measured.ties
     ties = replace(ties, pixels=shared_pixels(inputs.photos, ties.photo, ties.pixels))

@@ -12,7 +12,7 @@ from stereomate.block.adjustment import BlockAdjustment
 from stereomate.block.in_grid import GridComparison, Method, compare_in_grid
 from stereomate.block.systematic import find_systematic_shift
 from stereomate.block.variance import components_of
-from stereomate.errors import StereomateError
+from stereomate.errors import NotDeterminedError, StereomateError
 from stereomate.frames.heights import HeightSystem
 from stereomate.frames.mapframe import MapFrame
 from stereomate.frames.tangent import TangentFrame
@@ -88,7 +88,10 @@ def _shift(result: BlockAdjustment, tangent: TangentFrame, frame: MapFrame) -> d
     assert network.control.check is not None
     if (network.control.check | ~np.isfinite(network.control.sigma).any(axis=1)).all():
         return None
-    found = find_systematic_shift(result, tangent, frame)
+    try:
+        found = find_systematic_shift(result, tangent, frame)
+    except NotDeterminedError:
+        return None
     return {
         "east_north_up_m": [_rounded(v) for v in found.shift],
         "sigma_m": [_rounded(v) for v in found.sigma],

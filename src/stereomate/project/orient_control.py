@@ -15,7 +15,7 @@ from stereomate.errors import ProjectError
 from stereomate.formats.control_points import ControlFile, ControlPoint, read_control_points
 from stereomate.formats.ign import read_ground_points
 from stereomate.formats.image_points import ImageMeasurements, read_image_points
-from stereomate.frames.checks import check_height_units
+from stereomate.frames.checks import check_coordinates, check_height_units
 from stereomate.frames.crs import WGS84
 from stereomate.frames.mapframe import MapFrame
 from stereomate.frames.tangent import TangentFrame
@@ -125,6 +125,8 @@ def read_block_control(
     if frame.is_geographic != table.geographic and section.crs is None and not table.crs:
         raise ProjectError("must say the CRS of the points", file=path, field="control.crs")
     names = tuple(point.name for point in table.points)
+    # A few wrong points are named once the photographs tell which; here only a file wrong as a whole.
+    check_coordinates(frame, [point.xyz for point in table.points], "control points", source, tolerated=0.5)
     strange = sorted(set(section.check) - set(names))
     if strange:
         raise ProjectError("must name points of the file", file=path, field="control.check", value=strange[0])

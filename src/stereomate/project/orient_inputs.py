@@ -293,9 +293,12 @@ def _ground(
 ) -> float | None:
     """Approximate height of the ground in the tangent frame, for footprints."""
     if control is not None and control.is_placed:
-        heights = control.tangent_xyz[:, 2]
+        heights, flown = control.tangent_xyz[:, 2], positions.tangent[:, 2]
         if np.isfinite(heights).any():
-            return float(np.nanmedian(heights))
+            ground = float(np.nanmedian(heights))
+            # Above the photographs it is none (feet for metres): the comparison of both will say so.
+            if not np.isfinite(flown).any() or ground < np.nanmedian(flown):
+                return ground
     known = np.isfinite(positions.tangent).all(axis=1)
     if tangent is None or not known.any():
         return None
