@@ -109,12 +109,13 @@ def screen(inputs: OrientInputs, measured: Measured) -> Screened:
                 lost = positions.tangent.copy()
                 lost[list(start.photos)] = math.nan
                 positions = replace(positions, tangent=lost)
+        # Control is judged here, with the positions; the start knew it alone.
+        start = replace(start, outliers=start.outliers if start.datum == "positions" else ())
         if datum is None or not bad:
             parts.append(start)
             continue
         wrong |= _explained(inputs, part, datum.transform, bad)
-        outliers = start.outliers if start.datum == "positions" else ()
-        parts.append(replace(_moved(start, datum.transform), outliers=outliers))
+        parts.append(_moved(start, datum.transform))
         mine = np.unique(measured.ties.point[np.isin(measured.ties.photo, start.photos)])
         points[mine] = datum.transform.apply(points[mine])
     findings = [
