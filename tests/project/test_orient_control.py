@@ -171,6 +171,7 @@ def test_exchanged_shifted_and_feet_control_points_are_named_and_left_out(
     assert "g5 contradicts the others and is left out: it is off by +50.0, " in found
     assert "g6 contradicts the others and is left out: its height looks like feet" in found
     assert found.count("contradicts") == 3
+    assert record["control"]["control"]["count"] == 5
     assert record["summary"]["global_test"]["passed"]
     assert offset(record, block) < 0.3
 

@@ -287,7 +287,8 @@ def _control(inputs: OrientInputs, adjusted: Adjusted) -> dict[str, Any] | None:
                 for c in residual[rows].T
             ]
         record[kind] = {
-            "count": len(rows),
+            # Those that took part: what was left out has no residual.
+            "count": int(np.isfinite(residual[rows]).any(axis=1).sum()),
             "rms_m": rms,
             "points": [
                 {**_control_point(result, observed, part, sigma, residual, k), "given": given[k]}

@@ -189,7 +189,10 @@ def _outliers(part: _Part) -> set[str]:
     among = _datum(_without(control, bad), part.start)
     # Three points fit any triangle; with four, which of them is wrong is told by nothing but the positions.
     if among is not None and (by_positions is None or len(control.names) - len(bad) > 4):
-        bad |= set(among.outliers)
+        rest = [name for name in control.names if name not in bad]
+        size = np.linalg.norm(np.nan_to_num(among.residuals), axis=1)
+        gross = {name for name, off in zip(rest, size, strict=True) if off > _GROSS * part.height}
+        bad |= gross & set(among.outliers)
     return bad
 
 
