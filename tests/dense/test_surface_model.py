@@ -97,6 +97,7 @@ def test_photographs_that_share_no_ground_make_no_pair(block: tuple[SyntheticSur
     assert epipolar_pair(survey.photographs[0], survey.photographs[1], far, 1) is None
 
 
+@pytest.mark.slow
 def test_surface_and_terrain_of_a_block_with_known_truth(
     block: tuple[SyntheticSurvey, SurfacePlan], surface: SurfaceResult
 ) -> None:
@@ -123,6 +124,7 @@ def test_surface_and_terrain_of_a_block_with_known_truth(
     assert np.abs(ground).max() < 0.4 * difference[known].max()
 
 
+@pytest.mark.slow
 def test_stated_standard_deviations_hold_and_what_is_filled_is_marked(
     block: tuple[SyntheticSurvey, SurfacePlan], surface: SurfaceResult
 ) -> None:
@@ -144,6 +146,7 @@ def test_stated_standard_deviations_hold_and_what_is_filled_is_marked(
     assert all(abs(pair["y_parallax_px"]) < 0.05 for pair in figures["pairs"])
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_goes_on_and_gives_the_same_bytes(
     block: tuple[SyntheticSurvey, SurfacePlan], surface: SurfaceResult, tmp_path: Path
 ) -> None:

@@ -18,6 +18,9 @@ from stereomate.project.mosaic import edited_polygons, sources_of
 from stereomate.project.run import RunOptions, plan
 from stereomate.stereo.product import read_products
 
+# A product with seams has to be made first.
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def survey(tmp_path_factory):

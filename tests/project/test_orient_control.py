@@ -157,6 +157,7 @@ def offset(record: dict[str, Any], block: tuple[Path, np.ndarray]) -> float:
     return max(float(np.abs(truth[p["name"]] - p["position"]).max()) for p in record["photographs"])
 
 
+@pytest.mark.slow
 def test_exchanged_shifted_and_feet_control_points_are_named_and_left_out(
     block: tuple[Path, np.ndarray], tmp_path: Path
 ) -> None:
