@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from stereomate.cli.options import AngleSigma, CentreSigma
 from stereomate.cli.output import console, print_json, table
 from stereomate.cli.settings import Settings
 
@@ -31,12 +32,8 @@ def _measure(
     sigma_px: Annotated[
         float, typer.Option("--sigma-px", help="Standard deviation of each measured coordinate, pixels.")
     ] = 0.3,
-    centre_sigma: Annotated[
-        float, typer.Option("--centre-sigma", help="Standard deviation of projection centres, metres.")
-    ] = 0.0,
-    angle_sigma: Annotated[
-        float, typer.Option("--angle-sigma", help="Standard deviation of their rotations, degrees.")
-    ] = 0.0,
+    centre_sigma: CentreSigma = 0.0,
+    angle_sigma: AngleSigma = 0.0,
     verify: Annotated[
         bool, typer.Option("--verify/--no-verify", help="Compare hashes of rasters and height model.")
     ] = True,

@@ -7,6 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from stereomate.cli.options import (
+    AngleSigma,
+    CentreSigma,
+    Credits,
+    ObjectHeights,
+    ObjectSurface,
+    ShownPoints,
+    Title,
+)
 from stereomate.cli.output import print_json
 from stereomate.cli.progress import progress_of
 from stereomate.cli.settings import Settings
@@ -30,24 +39,13 @@ def _publish(
     lossless: Annotated[
         bool, typer.Option("--lossless", help="PNG tiles, three to five times larger.")
     ] = False,
-    object_heights: Annotated[
-        str, typer.Option("--object-height", help="Of the homogeneity layer: heights of objects, metres.")
-    ] = "10",
-    points: Annotated[
-        Path | None, typer.Option("--points", help="Control and check points to show: name, x, y, z, type.")
-    ] = None,
-    title: Annotated[str, typer.Option("--title", help="Shown on the page and on prints.")] = "",
-    credit: Annotated[str, typer.Option("--credits", help="Shown on the page and on prints.")] = "",
-    centre_sigma: Annotated[
-        float, typer.Option("--centre-sigma", help="Standard deviation of projection centres, metres.")
-    ] = 0.0,
-    angle_sigma: Annotated[
-        float, typer.Option("--angle-sigma", help="Standard deviation of their rotations, degrees.")
-    ] = 0.0,
-    surface: Annotated[
-        Path | None,
-        typer.Option("--surface", help="Heights of objects to show [default: surface.tif of OUT]."),
-    ] = None,
+    object_heights: ObjectHeights = "10",
+    points: ShownPoints = None,
+    title: Title = "",
+    credit: Credits = "",
+    centre_sigma: CentreSigma = 0.0,
+    angle_sigma: AngleSigma = 0.0,
+    surface: ObjectSurface = None,
     verify: Annotated[
         bool, typer.Option("--verify/--no-verify", help="Compare hashes of rasters and height model.")
     ] = True,

@@ -7,6 +7,15 @@ from typing import Annotated
 
 import typer
 
+from stereomate.cli.options import (
+    AngleSigma,
+    CentreSigma,
+    Credits,
+    ObjectHeights,
+    ObjectSurface,
+    ShownPoints,
+    Title,
+)
 from stereomate.cli.publish import heights_of_text, open_site
 from stereomate.cli.settings import Settings
 
@@ -24,24 +33,13 @@ def _view(
     name: Annotated[str | None, typer.Option("--product", help="Only this product of the run.")] = None,
     quality: Annotated[int, typer.Option("--quality", help="Of JPEG tiles, 1 to 100.")] = 90,
     lossless: Annotated[bool, typer.Option("--lossless", help="PNG tiles.")] = False,
-    object_heights: Annotated[
-        str, typer.Option("--object-height", help="Of the homogeneity layer: heights of objects, metres.")
-    ] = "10",
-    points: Annotated[
-        Path | None, typer.Option("--points", help="Control and check points to show: name, x, y, z, type.")
-    ] = None,
-    title: Annotated[str, typer.Option("--title", help="Shown on the page and on prints.")] = "",
-    credit: Annotated[str, typer.Option("--credits", help="Shown on the page and on prints.")] = "",
-    centre_sigma: Annotated[
-        float, typer.Option("--centre-sigma", help="Standard deviation of projection centres, metres.")
-    ] = 0.0,
-    angle_sigma: Annotated[
-        float, typer.Option("--angle-sigma", help="Standard deviation of their rotations, degrees.")
-    ] = 0.0,
-    surface: Annotated[
-        Path | None,
-        typer.Option("--surface", help="Heights of objects to show [default: surface.tif of OUT]."),
-    ] = None,
+    object_heights: ObjectHeights = "10",
+    points: ShownPoints = None,
+    title: Title = "",
+    credit: Credits = "",
+    centre_sigma: CentreSigma = 0.0,
+    angle_sigma: AngleSigma = 0.0,
+    surface: ObjectSurface = None,
     verify: Annotated[
         bool, typer.Option("--verify/--no-verify", help="Compare hashes of rasters and height model.")
     ] = True,
