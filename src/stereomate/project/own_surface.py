@@ -21,9 +21,10 @@ from stereomate.dense.terrain_model import TerrainOptions
 from stereomate.project.first_ground import first_ground
 from stereomate.project.loader import load
 from stereomate.project.model import Project
-from stereomate.project.orient_files import absolute_document, toml_text
+from stereomate.project.orient_files import absolute_document
 from stereomate.project.reading import read_project_file
 from stereomate.project.schema import SurfaceSection
+from stereomate.project.toml_text import toml_text
 from stereomate.raster.files import storing, write_whole
 from stereomate.tiles.executor import executor_of
 from stereomate.tiles.ledger import run_key
