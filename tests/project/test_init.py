@@ -43,6 +43,26 @@ def test_table_crs_and_height_model_are_found(small, capsys):
     assert check_project(load(small.path)).is_good
 
 
+def test_camera_files_are_found_and_those_of_another_size_named(small, capsys):
+    """Good for `check` without a word of the user; a link to a folder is a folder."""
+    small.path.unlink()
+    (small.folder / ".elsewhere").mkdir()
+    small.write(
+        ".elsewhere/int_param.yaml",
+        "other:\n  type: pinhole\n  im_size: [7, 5]\n  focal_len: 1.0\n"
+        "lens:\n  type: pinhole\n  im_size: [60, 40]\n  focal_len: 30.0\n  sensor_size: [6.0, 4.0]\n"
+        "spare:\n  type: pinhole\n  im_size: [60, 40]\n  focal_len: 1.0\n",
+    )
+    (small.folder / "cameras").symlink_to(small.folder / ".elsewhere", target_is_directory=True)
+    code, out, err = run(capsys, "init", str(small.folder))
+    assert (code, err) == (0, "")
+    assert "int_param.yaml: no photograph has the 7 x 5 pixels of other" in out
+    assert "int_param.yaml: camera spare is of the same size, and not used" in out
+    (camera,) = tomllib.loads(small.path.read_text())["camera"]
+    assert camera["name"] == "lens"
+    assert check_project(load(small.path)).is_good
+
+
 def test_an_existing_project_is_kept(small, capsys):
     before = small.path.read_text()
     code, _, err = run(capsys, "init", str(small.folder))
@@ -187,10 +207,12 @@ def test_odm_tuniu_is_ready_to_check(data_folder, tmp_path):
 
 
 @pytest.mark.real
-def test_ngi_needs_its_camera_only(data_folder, tmp_path):
+def test_ngi_is_ready_to_check(data_folder, tmp_path):
     draft = draft_project(copied(data_folder, "ngi_strip05", tmp_path))
-    assert draft.to_do == ("camera camera: fill in the calibration",)
+    assert draft.to_do == ()
     document = tomllib.loads(draft.text)
+    (camera,) = document["camera"]
+    assert (camera["name"], camera["principal_distance_mm"]) == ("Integraph DMC", 120.0)
     assert document["project"]["crs"].startswith("+proj=tmerc")
     assert document["photos"]["files"] == "*_RGB.tif"
     assert "dem.tif names EGM2008 height" in draft.text

@@ -57,7 +57,7 @@ def read_metashape_xml(path: Path, declared: Declared) -> OrientationSet:
     """
     chunk = _chunk(path)
     place = _place(path, chunk, declared)
-    sensors = {_id(sensor): _sensor(path, sensor) for sensor in chunk.iterfind("sensors/sensor")}
+    sensors = {_id(sensor): camera_of_sensor(path, sensor) for sensor in chunk.iterfind("sensors/sensor")}
     similarities = _similarities(path, chunk)
     names, centres, rotations, cameras = [], [], [], []
     unaligned = 0
@@ -282,7 +282,8 @@ def _id(element: Element) -> str:
     return element.get("id") or ""
 
 
-def _sensor(path: Path, element: Element) -> Camera | None:
+def camera_of_sensor(path: Path, element: Element) -> Camera | None:
+    """The camera of a ``sensor``: its adjusted calibration, else its first; None without any."""
     label = element.get("label") or f"sensor {_id(element)}"
     calibrations = element.findall("calibration")
     chosen = next((c for c in calibrations if c.get("class") == "adjusted"), None)

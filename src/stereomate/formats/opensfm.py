@@ -114,7 +114,7 @@ def read_opensfm(path: Path) -> OpenSfmReconstruction:
     shots: dict[str, OpenSfmShot] = {}
     for part in parts:
         for name, record in _table(path, part, "cameras").items():
-            cameras[name] = _camera(path, name, record)
+            cameras[name] = camera_of_record(path, name, record)
         for name, record in _table(path, part, "shots").items():
             if name in shots:
                 raise FormatError("is in more than one reconstruction", file=path, field=f"shots.{name}")
@@ -253,8 +253,14 @@ def _shot(path: Path, name: str, record: Mapping[str, Any], cameras: Mapping[str
     return OpenSfmShot(name, (cx, cy, cz), object_from_camera, str(camera), position)
 
 
-def _camera(path: Path, name: str, record: Mapping[str, Any]) -> Camera:
-    """A camera, by OpenSfM's documentation of its camera models."""
+def camera_of_record(path: Path, name: str, record: Mapping[str, Any]) -> Camera:
+    """A camera of OpenSfM, by its documentation of camera models: a record of ``cameras``.
+
+    Raises
+    ------
+    FormatError
+        If the record is not one, or of a model that is not known here.
+    """
     field = f"cameras.{name}"
     kind = record.get("projection_type")
 

@@ -10,12 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from stereomate.camera.distortion import BrownDistortion
-from stereomate.camera.model import Camera
 from stereomate.errors import ProjectError
 from stereomate.forms import PROJECT
+from stereomate.project.draft_cameras import camera_sections
 from stereomate.project.findings import Findings, FoundPhoto, look_through, photo_pattern
-from stereomate.project.sensors import DraftCamera, draft_camera
 from stereomate.raster.files import write_whole
 
 PROJECT_FILE: Final = "project.toml"
@@ -55,7 +53,7 @@ def draft_project(folder: Path) -> Draft:
     tables: list[tuple[str, str]] = []
     sections = [
         _project_section(found, to_do),
-        *_camera_sections(found, to_do),
+        *camera_sections(found, to_do),
         _photos_section(found, tables, to_do),
         _terrain_section(found, to_do),
         _PRODUCTS,
@@ -117,58 +115,6 @@ def _vertical(wkt: str) -> str:
     from stereomate.frames.mapframe import MapFrame
 
     return MapFrame(wkt, HeightSystem.undeclared()).vertical_name or "" if wkt else ""
-
-
-def _camera_sections(found: Findings, to_do: list[str]) -> list[str]:
-    if found.reconstructions and found.tables:
-        # The table has the orientation, the reconstruction the cameras that belong to it.
-        return [_camera_of_reconstruction(camera) for camera in found.reconstructions[0].cameras.values()]
-    if found.reconstructions:
-        path = found.reconstructions[0].path.name
-        return [f"# The cameras are those of {path}; [[camera]] sections here would take their place.\n"]
-    cameras: dict[tuple[str, tuple[int, int]], DraftCamera] = {}
-    for photo in found.photographs:
-        key = (photo.tags.model, photo.info.size)
-        if key not in cameras:
-            cameras[key] = draft_camera(photo.tags, photo.info.size)
-    for camera in cameras.values():
-        if camera.lines[0].startswith("#"):
-            to_do.append(f"camera {camera.name}: fill in the calibration")
-    return [_camera_section(camera, len(cameras) > 1) for camera in cameras.values()]
-
-
-def _camera_section(camera: DraftCamera, several: bool) -> str:
-    name = f"{camera.name} {camera.size_px[0]}x{camera.size_px[1]}" if several else camera.name
-    lines = "\n".join(camera.lines)
-    return f"""[[camera]]
-name = {_quoted(name)}
-size_px = [{camera.size_px[0]}, {camera.size_px[1]}]
-# Source: {camera.source}.
-{lines}
-"""
-
-
-def _camera_of_reconstruction(camera: Camera) -> str:
-    columns, rows = camera.size_px
-    pixels_per_mm = camera.pixel_from_photo[0][0]
-    x, y = camera.image_from_photo(camera.principal_point_mm)
-    distortion = ""
-    if isinstance(camera.distortion, BrownDistortion):
-        terms = ", ".join(
-            f"{name} = {getattr(camera.distortion, name):.12g}" for name in ("k1", "k2", "k3", "p1", "p2")
-        )
-        distortion = f'distortion = {{ model = "brown", {terms} }}\n'
-    else:
-        names = camera.distortion.coefficient_names
-        terms = ", ".join(f"{name} = {getattr(camera.distortion, name):.12g}" for name in names)
-        distortion = f'distortion = {{ model = "fisheye", {terms} }}\n'
-    return f"""[[camera]]
-name = {_quoted(camera.name)}
-size_px = [{columns}, {rows}]
-# Source: the cameras of the reconstruction; pixels only, so that millimetres are nominal.
-principal_distance_px = {camera.principal_distance_mm * pixels_per_mm:.9g}
-principal_point_px = [{x:.9g}, {y:.9g}]
-{distortion}"""
 
 
 def _photos_section(found: Findings, tables: list[tuple[str, str]], to_do: list[str]) -> str:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Final
 
 from stereomate.errors import CrsError, FormatError, ImageError, InputError, ProjectError
+from stereomate.formats.camera_files import SUFFIXES, CameraFile, read_camera_file
 from stereomate.formats.exif import CameraTags, read_camera_tags
 from stereomate.formats.opensfm import OpenSfmReconstruction, read_opensfm
 from stereomate.formats.orientation_table import OrientationTable, read_orientation_table
@@ -25,6 +27,8 @@ _PRODUCTS: Final = ("ortho", "mate", "lineage")
 # A folder deeper than this is somebody else's.
 _DEPTH: Final = 4
 _MOST_TABLES: Final = 200
+# Files of cameras are small; JSON and XML larger than this are something else.
+_LARGEST_CAMERA_FILE: Final = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,7 @@ class Findings:
     tables: tuple[FoundTable, ...]
     reconstructions: tuple[OpenSfmReconstruction, ...]
     surfaces: tuple[RasterInfo, ...]
+    cameras: tuple[CameraFile, ...]
     crs: FoundCrs | None
     unreadable: tuple[str, ...]
 
@@ -96,6 +101,7 @@ def look_through(folder: Path) -> Findings:
         tables=tuple(tables),
         reconstructions=tuple(reconstructions),
         surfaces=tuple(surfaces),
+        cameras=tuple(_cameras(folder)),
         crs=_crs(tables, surfaces, photographs),
         unreadable=tuple(unreadable),
     )
@@ -134,15 +140,15 @@ def _common(texts: Sequence[str]) -> str:
 
 
 def _files(folder: Path, suffixes: Iterable[str]) -> list[Path]:
+    """Files of these suffixes, not deep, links to folders followed as a user's own folders."""
     wanted = set(suffixes)
-    return sorted(
-        path
-        for path in folder.rglob("*")
-        if path.suffix.lower() in wanted
-        and path.is_file()
-        and len(path.relative_to(folder).parts) <= _DEPTH
-        and not any(part.startswith(".") for part in path.relative_to(folder).parts)
-    )
+    found = []
+    for parent, folders, names in os.walk(folder, followlinks=True):
+        depth = len(Path(parent).relative_to(folder).parts)
+        folders[:] = sorted(n for n in folders if not n.startswith(".")) if depth + 1 < _DEPTH else []
+        paths = (Path(parent, name) for name in names if not name.startswith("."))
+        found += [path for path in paths if path.suffix.lower() in wanted and path.is_file()]
+    return sorted(found)
 
 
 def _rasters(folder: Path) -> tuple[list[FoundPhoto], list[RasterInfo], list[str]]:
@@ -251,6 +257,20 @@ def _reconstructions(folder: Path, photographs: Sequence[FoundPhoto]) -> list[Op
         if any(_stem(shot.name) in stems or shot.name.lower() in stems for shot in model.shots):
             found.append(model)
     return found
+
+
+def _cameras(folder: Path) -> list[CameraFile]:
+    """Files that describe cameras, those of the folder itself first."""
+    found = []
+    for path in _files(folder, SUFFIXES)[:_MOST_TABLES]:
+        if path.stat().st_size > _LARGEST_CAMERA_FILE:
+            continue
+        try:
+            found.append(read_camera_file(path))
+        except InputError:  # something else, or a camera no project file can describe
+            continue
+    # config.yaml of simple-ortho holds more than cameras.
+    return sorted(found, key=lambda f: (len(f.path.parts), f.path.stem.lower() == "config", f.path.name))
 
 
 def _crs(
