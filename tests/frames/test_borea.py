@@ -89,10 +89,7 @@ def intersect_all(delivery, centres, rotations, to_map, correct=None):
 
 @pytest.fixture(scope="module")
 def delivery(data_folder):
-    folder = data_folder / "ign_borea_A"
-    if not folder.is_dir():
-        pytest.skip(f"no {folder}")
-    return Delivery(folder)
+    return Delivery(data_folder / "ign_borea_A")
 
 
 @pytest.fixture(scope="module")
