@@ -22,8 +22,8 @@ def _init(
 ) -> None:
     """Draft a commented project.toml from a folder of photographs.
 
-    Photographs, orientation tables, reconstruction.json, camera files (OpenSfM, Metashape, orthority), CRS and
-    height model are looked for in the folder; where no table is, positions and angles in EXIF and XMP are
+    Photographs, orientation tables, reconstruction.json, camera files (OpenSfM, Metashape, orthority), CRS
+    and height model are looked for in the folder; where no table is, positions and angles in EXIF and XMP are
     written into one.
     """
     from stereomate.errors import ProjectError
