@@ -145,11 +145,11 @@ def test_tracks_of_opensfm(tmp_path: Path) -> None:
         "b.jpg\t0\t18\t0\t0\t0.004\t10\t20\t30\t-1\t-1\n"
     )
     sizes = {"a.jpg": (4000, 3000), "b.jpg": (3000, 4000)}
-    found = read_image_points(written(tmp_path / "tracks.csv", text), sizes)
+    found = read_image_points(written(tmp_path / "tracks.csv", text), sizes.get)
     np.testing.assert_allclose(found.pixels, [[0.0, 0.0], [1500.0, 2000.0]])
     assert found.points == ("0", "0")
     with pytest.raises(FormatError, match=r"size is not known.*b\.jpg"):
-        read_image_points(tmp_path / "tracks.csv", {"a.jpg": (4000, 3000)})
+        read_image_points(tmp_path / "tracks.csv", {"a.jpg": (4000, 3000)}.get)
 
 
 @pytest.mark.real

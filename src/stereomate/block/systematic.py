@@ -23,8 +23,9 @@ from stereomate.frames.transform import map_from_tangent
 
 Array = NDArray[np.float64]
 
-# The prediction has to explain this much of a shift to be named as its likely cause.
-_EXPLAINED: Final = 0.25
+# What a prediction leaves of a shift, at most, to be named as its likely cause: image errors that go together
+# move heights by a few standard deviations too.
+_LEFT: Final = 1.0 / 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,11 +95,13 @@ def find_systematic_shift(
     if use.any() and not frame.is_geographic:
         excess = float(np.mean(grid_height_excess_m(frame, centres, float(ground[:, 2].mean()))))
     cause = ""
-    if significant[2] and abs(shift[2] - excess) <= max(_EXPLAINED * abs(excess), 3.0 * float(sigma[2])):
+    left = float(shift[2] - excess)
+    if significant[2] and abs(left) <= max(_LEFT * abs(shift[2]), 3.0 * float(sigma[2])) < abs(shift[2]):
         cause = (
             f"the heights of the positions differ by {shift[2]:+.3f} m, and "
             f"(tau_e - 1)(H_centre - H_control), equation (2) of Ressl (2002), is {excess:+.3f} m: "
-            "the positions probably come from an adjustment in the map grid"
+            "the positions probably come from an adjustment in the map grid; it leaves "
+            f"{left:+.3f} m, {abs(left) / sigma[2]:.1f} standard deviations"
         )
     elif significant.any():
         cause = "not known: a vertical datum, a lever arm, or a principal distance not held in flight"

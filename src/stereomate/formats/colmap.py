@@ -24,6 +24,7 @@ from stereomate.formats.lens import Lens, lens_of
 from stereomate.formats.orientation_set import OrientationSet
 from stereomate.formats.text_files import read_bytes, read_text, write_bytes, write_text
 from stereomate.frames.attitude import AttitudeConvention, axes_from_camera, written_from_axes
+from stereomate.measurement.database import MeasurementDatabase
 
 Array = NDArray[np.float64]
 
@@ -239,6 +240,25 @@ class _Bytes:
         self.at += size
         if self.at > len(self.data):
             raise FormatError("is cut off", file=self.file, field=f"byte {len(self.data)}")
+
+
+def database_cameras(path: Path) -> dict[str, Camera]:
+    """Cameras of the photographs of a COLMAP database, by the names of the photographs.
+
+    Raises
+    ------
+    FormatError
+        If it is no such database, or a camera is of a model that is not read.
+    """
+    by_number = {model.number: name for name, model in _MODELS.items()}
+    with MeasurementDatabase.open(path, read_only=True) as database:
+        cameras = {
+            number: _lens_camera(
+                path, number, by_number.get(row.model, str(row.model)), row.size_px, row.parameters
+            )
+            for number, row in database.cameras().items()
+        }
+        return {image.name: cameras[image.camera_id] for image in database.images()}
 
 
 def _cameras_binary(file: Path) -> dict[int, Camera]:

@@ -10,7 +10,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -81,31 +81,38 @@ class ImageMeasurements:
         )
 
 
-def read_image_points(path: Path, sizes_px: Mapping[str, tuple[int, int]] | None = None) -> ImageMeasurements:
+SizeOf = Callable[[str], tuple[int, int] | None]
+
+
+def read_image_points(path: Path, size_of: SizeOf | None = None) -> ImageMeasurements:
     """Read image measurements; the kind of file is found out.
 
     Parameters
     ----------
     path : Path
-    sizes_px : mapping, optional
-        Columns and rows of photographs by their names; OpenSfM's tracks need them.
+    size_of : callable, optional
+        Columns and rows of the photograph of a name, None if it is not known; OpenSfM's tracks need them.
 
     Raises
     ------
     FormatError
         Naming file, line, rule and value.
     """
-    suffix = path.suffix.lower()
-    if suffix in _DATABASES:
+    if is_database(path):
         return read_colmap_tracks(path)
-    if suffix == ".mes":
+    if path.suffix.lower() == ".mes":
         found = read_mes(path)
         nothing = np.full(len(found.points), np.nan)
         return ImageMeasurements(path, found.points, found.photographs, found.pixels, nothing)
     text = read_text(path)
     if text.startswith(_OPENSFM) or _looks_like_tracks(text):
-        return _opensfm_tracks(path, text, sizes_px or {})
+        return _opensfm_tracks(path, text, size_of or (lambda name: None))
     return _table(path, text)
+
+
+def is_database(path: Path) -> bool:
+    """Whether a file is a COLMAP database by its name."""
+    return path.suffix.lower() in _DATABASES
 
 
 def read_colmap_tracks(path: Path) -> ImageMeasurements:
@@ -145,7 +152,7 @@ def _looks_like_tracks(text: str) -> bool:
     return len(cells) >= 8 and cells[1].isdigit() and cells[2].isdigit()
 
 
-def _opensfm_tracks(path: Path, text: str, sizes_px: Mapping[str, tuple[int, int]]) -> ImageMeasurements:
+def _opensfm_tracks(path: Path, text: str, size_of: SizeOf) -> ImageMeasurements:
     """OpenSfM counts from the middle of the photograph in units of its longer side."""
     rows: list[Row] = []
     for number, line in enumerate(text.splitlines(), 1):
@@ -156,14 +163,15 @@ def _opensfm_tracks(path: Path, text: str, sizes_px: Mapping[str, tuple[int, int
             raise FormatError(
                 "must hold image, track, feature, x, y", file=path, field=f"line {number}", value=line
             )
-        if cells[0] not in sizes_px:
+        size = size_of(cells[0])
+        if size is None:
             raise FormatError(
                 "names a photograph whose size is not known",
                 file=path,
                 field=f"line {number}",
                 value=cells[0],
             )
-        columns, height = sizes_px[cells[0]]
+        columns, height = size
         x, y = (_number(path, number, cell) for cell in cells[3:5])
         longer = max(columns, height)
         rows.append((cells[1], cells[0], x * longer + columns / 2.0, y * longer + height / 2.0))

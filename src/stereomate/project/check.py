@@ -164,7 +164,7 @@ def check_project(project: Project) -> CheckReport:
     return CheckReport(
         project=project.name,
         file=str(project.path),
-        crs=project.frame.name if project.frame.name != "unknown" else project.frame.crs,
+        crs=project.frame.name,
         heights=project.frame.heights.description,
         tangent_origin=(tangent.longitude_deg, tangent.latitude_deg, tangent.height_m),
         photographs=tuple(_photo_rows(project, coverage)),

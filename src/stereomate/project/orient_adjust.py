@@ -19,6 +19,7 @@ from stereomate.errors import NotDeterminedError
 from stereomate.project.orient_inputs import OrientInputs
 from stereomate.project.orient_measure import Measured, control_measurements
 from stereomate.project.orient_photos import shared_pixels
+from stereomate.project.orient_placed import placed_by_table
 from stereomate.project.orient_screen import screen
 
 Array = NDArray[np.float64]
@@ -89,8 +90,8 @@ def adjust_measured(
     """
     screened = screen(inputs, measured)
     inputs, measured = screened.inputs, screened.measured
-    findings = list(screened.findings)
-    at, left_out = _taking_part(measured, findings)
+    findings = [*measured.findings, *screened.findings]
+    at, left_out = _taking_part(inputs, measured, findings)
     options = BlockOptions(
         robust="snooping",
         tests=TestOptions(inputs.file.orient.significance, inputs.file.orient.power),
@@ -299,7 +300,9 @@ def _nominal(camera: Camera, name: str) -> float:
     return 0.0
 
 
-def _taking_part(measured: Measured, findings: list[str]) -> tuple[Approximate, dict[int, str]]:
+def _taking_part(
+    inputs: OrientInputs, measured: Measured, findings: list[str]
+) -> tuple[Approximate, dict[int, str]]:
     """Start orientations of the photographs that are adjusted together, and why the others are not."""
     n = len(measured.photos)
     left_out = dict(measured.not_joined)
@@ -328,6 +331,15 @@ def _taking_part(measured: Measured, findings: list[str]) -> tuple[Approximate, 
             f"{part.datum}: {_outlier(measured, part.datum, name)} contradicts the others"
             for name in part.outliers
         ]
+    if with_datum:
+        placed = placed_by_table(inputs, measured, centres, rotations)
+        if placed:
+            names = ", ".join(measured.photos[k].name for k in placed)
+            findings.append(
+                "photographs that share too few points with the others to be joined, placed by their stated "
+                f"orientation and adjusted with it as start: {names}"
+            )
+        left_out = {k: reason for k, reason in left_out.items() if k not in placed}
     return Approximate(centres, rotations, measured.points, bool(with_datum)), left_out
 
 

@@ -163,10 +163,9 @@ def oriented_project(inputs: OrientInputs, adjusted: Adjusted, own_surface: bool
     if inputs.tangent is not None:
         t = inputs.tangent
         document["project"]["tangent_origin"] = [t.longitude_deg, t.latitude_deg, t.height_m]
-    oriented = [str(inputs.photos[k].path.resolve()) for k in adjusted.oriented]
-    document["photos"] = {
-        "files": oriented, "orientation": ORIENTATION, "angles": "local", "adjusted_in": "space",
-    }  # fmt: skip
+    there = [p for k in adjusted.oriented if (p := inputs.photos[k]).info is not None]
+    document["photos"] = {"files": [str(photo.path.resolve()) for photo in there]} if there else {}
+    document["photos"] |= {"orientation": ORIENTATION, "angles": "local", "adjusted_in": "space"}
     if own_surface:
         document["terrain"] = {"file": SURFACE}
     document["camera"] = [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal
 
@@ -19,8 +19,10 @@ from stereomate.frames.tangent import TangentFrame
 from stereomate.frames.transform import tangent_from_map
 from stereomate.project.inputs import PhotoProblem
 from stereomate.project.loader import project_frame
+from stereomate.project.meaning import resolve_adjusted
 from stereomate.project.orient_control import Control, read_block_control
-from stereomate.project.orient_photos import RawPhoto, raw_photos
+from stereomate.project.orient_photos import RawPhoto, RawPhotos, raw_photos
+from stereomate.project.orient_stated import photographs_of_measurements
 from stereomate.project.orientations import (
     GNSS_CRS,
     Reading,
@@ -128,7 +130,7 @@ def read_orient_inputs(path: str | Path) -> OrientInputs:
     if written is not None:
         notes += written.notes
     named = {} if written is None else dict(zip(map(_stem, written.names), written.cameras, strict=True))
-    raw = raw_photos(file, path, named)
+    raw, tie_points = _photographs(file, path, named)
     notes += raw.notes
     control = read_block_control(file, path, reading, [photo.path.name for photo in raw.photos])
     if control is not None:
@@ -137,14 +139,23 @@ def read_orient_inputs(path: str | Path) -> OrientInputs:
     if control is not None and tangent is not None:
         control = control.placed(tangent, frame)
     ground = _ground(file, frame, tangent, positions, control)
-    tie_points = None
-    if file.orient.tie_points is not None:
-        sizes = {photo.path.name: photo.info.size for photo in raw.photos}
-        tie_points = read_image_points(path.parent / file.orient.tie_points, sizes)
     return OrientInputs(
         path, file, frame, tangent, raw.photos, positions, ground, control, tie_points,
         raw.problems, tuple(notes),
     )  # fmt: skip
+
+
+def _photographs(
+    file: ProjectFile, path: Path, named: dict[str, str | None]
+) -> tuple[RawPhotos, ImageMeasurements | None]:
+    """The photographs of the files, or of the measurements where there are none, and stated tie points."""
+    if not file.photos.files:
+        return photographs_of_measurements(file, path, named)
+    raw = raw_photos(file, path, named)
+    if file.orient.tie_points is None:
+        return raw, None
+    sizes = {photo.path.name: photo.info.size for photo in raw.photos if photo.info is not None}
+    return raw, read_image_points(path.parent / file.orient.tie_points, sizes.get)
 
 
 def _stem(name: str) -> str:
@@ -167,6 +178,10 @@ def _positions(
     above = [p.tags.height_above_start for p in photos if p.tags.height_above_start is not None]
     height = float(np.median(above)) if above else None
     if written is not None:
+        if file.photos.adjusted_in == "grid":
+            true = resolve_adjusted(file, reading, written, np.arange(len(written.names)), None, notes)
+            assert true is not None  # declared, else refused
+            written = replace(written, positions=true.centres)
         return _of_table(file, written, photos, frame, height, notes)
     if file.orient.positions != "none":
         geographic = np.array([_exif_position(photo) for photo in photos]).reshape(n, 3)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stereomate.block.models import JoiningOptions, PairPose
 from stereomate.block.photos import BlockPhoto
 from stereomate.block.refine import OrientedPoints, measure_again
 from stereomate.block.start import KnownPoints, KnownPositions, find_start
@@ -24,7 +25,7 @@ from stereomate.block.tie_points import (
     tie_points,
 )
 from stereomate.camera.model import Camera
-from stereomate.errors import FormatError, ImageError, InputError
+from stereomate.errors import FormatError, ImageError
 from stereomate.formats.image_points import ImageMeasurements
 from stereomate.formats.lens import Lens, lens_of
 from stereomate.measurement.database import CameraRow, ImageRow, MeasurementDatabase
@@ -33,6 +34,13 @@ from stereomate.measurement.tracks import ThinningOptions, TiePoints
 from stereomate.project.inputs import PhotoProblem
 from stereomate.project.orient_control import Control
 from stereomate.project.orient_inputs import OrientInputs
+from stereomate.project.orient_stated import (
+    LEAST_POINTS,
+    block_photos,
+    pairs_of_tie_points,
+    stated_findings,
+    stated_tie_points,
+)
 from stereomate.relative.feature_pairs import AutomaticOptions
 from stereomate.tiles import Executor
 from stereomate.tiles.ledger import run_key
@@ -42,8 +50,6 @@ ProgressSink = Callable[[str, int, int], None]
 
 # COLMAP's numbers of PINHOLE, OPENCV and OPENCV_FISHEYE.
 _PINHOLE, _OPENCV, _FISHEYE = 1, 4, 5
-# Standard deviation of tie points from elsewhere that state none.
-_STATED_SIGMA_PX = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +93,8 @@ class Measured:
         Of tracks, contradictions, tie points, refined observations and failures.
     problems : tuple of PhotoProblem
         Photographs that turned out unreadable.
+    findings : tuple of str
+        What a reader must know of the measurements.
     """
 
     photos: tuple[BlockPhoto, ...]
@@ -98,6 +106,7 @@ class Measured:
     not_joined: dict[int, str]
     counts: dict[str, Any]
     problems: tuple[PhotoProblem, ...]
+    findings: tuple[str, ...] = ()
 
 
 def measure_block(
@@ -110,36 +119,84 @@ def measure_block(
     NotDeterminedError
         If no two photographs can be oriented to each other.
     """
-    options = tie_point_options(inputs)
-    photos = tuple(
-        BlockPhoto(k + 1, p.path.name, p.path, p.of_pixels, p.digest, p.format_mm)
-        for k, p in enumerate(inputs.photos)
-    )
+    photos = block_photos(inputs.photos)
     with MeasurementDatabase.open(database_path) as database:
         _describe(database, photos, inputs)
-        failed = find_features(database, photos, options, executor, _named(progress, "features"))
-        problems = tuple(
-            PhotoProblem(photos[k - 1].name, ImageError(error)) for k, error in sorted(failed.items())
-        )
-        selection = _selection(database, photos, inputs, options, failed)
-        pairs = match_pairs(database, photos, selection, options, executor, _named(progress, "pairs"))
-        progress("tie points", 0, 1)
         if inputs.tie_points is None:
-            ties, counts = tie_points(database, photos, selection, options)
+            tied = _found(database, photos, inputs, executor, progress)
         else:
-            ties, counts = _stated(inputs.tie_points, photos)
-        progress("tie points", 1, 1)
-        start = _start(database, photos, selection, ties, inputs, progress)
-        parts, points, used = start.parts, start.points, start.used
-        if inputs.file.orient.refine and inputs.tie_points is None:
+            tied = _stated(inputs.tie_points, photos, progress)
+        start = _start(database, photos, tied, inputs, progress)
+        parts, points, ties, counts = start.parts, start.points, tied.ties, tied.counts
+        if inputs.tie_points is not None:
+            # Gross errors are for the adjustment to find: nothing that somebody measured goes silently.
+            ties = ties.select(np.isfinite(points[ties.point, 0]))
+        elif inputs.file.orient.refine:
             oriented = _united(parts, len(photos), points)
-            refined, measured = measure_again(
-                database, photos, ties.select(used), oriented, None, executor, _named(progress, "refinement")
+            ties, measured = measure_again(
+                database,
+                photos,
+                ties.select(start.used),
+                oriented,
+                None,
+                executor,
+                _named(progress, "refinement"),
             )
-            ties, counts = refined, {**counts, "refined": measured}
+            counts = {**counts, "refined": measured}
         else:
-            ties = ties.select(used).with_rays(2)
-    return Measured(photos, pairs, selection.how, ties, points, parts, start.not_joined, counts, problems)
+            ties = ties.select(start.used).with_rays(2)
+    return Measured(
+        photos,
+        tied.pairs,
+        tied.how,
+        ties,
+        points,
+        parts,
+        start.not_joined,
+        counts,
+        tied.problems,
+        tied.findings,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Tied:
+    """Tie points of the block, and what its pairs gave."""
+
+    ties: TiePoints
+    counts: dict[str, Any]
+    pairs: tuple[PairResult, ...]
+    poses: tuple[PairPose, ...]
+    how: str
+    problems: tuple[PhotoProblem, ...] = ()
+    findings: tuple[str, ...] = ()
+
+
+def _found(
+    database: MeasurementDatabase,
+    photos: Sequence[BlockPhoto],
+    inputs: OrientInputs,
+    executor: Executor | None,
+    progress: ProgressSink,
+) -> _Tied:
+    """From the pixels of the photographs."""
+    options = tie_point_options(inputs)
+    failed = find_features(database, photos, options, executor, _named(progress, "features"))
+    problems = tuple(PhotoProblem(photos[k - 1].name, ImageError(e)) for k, e in sorted(failed.items()))
+    selection = _selection(database, photos, inputs, options, failed)
+    pairs = match_pairs(database, photos, selection, options, executor, _named(progress, "pairs"))
+    progress("tie points", 0, 1)
+    ties, counts = tie_points(database, photos, selection, options)
+    progress("tie points", 1, 1)
+    return _Tied(ties, counts, pairs, pair_poses(database, photos, selection), selection.how, problems)
+
+
+def _stated(given: ImageMeasurements, photos: Sequence[BlockPhoto], progress: ProgressSink) -> _Tied:
+    """From a file: no pixel is looked at."""
+    ties, counts = stated_tie_points(given, photos)
+    poses, pairs = pairs_of_tie_points(ties, photos, _named(progress, "pairs"))
+    how = f"photographs that share tie points of {given.path.name}"
+    return _Tied(ties, counts, pairs, poses, how, (), tuple(stated_findings(counts)))
 
 
 def tie_point_options(inputs: OrientInputs) -> TiePointOptions:
@@ -222,35 +279,6 @@ def _selection(
     return PairSelection(pairs, chosen.how)
 
 
-def _stated(given: ImageMeasurements, photos: Sequence[BlockPhoto]) -> tuple[TiePoints, dict[str, Any]]:
-    """Tie points of a file."""
-    index = {Path(photo.name).stem: k for k, photo in enumerate(photos)}
-    index |= {photo.name: k for k, photo in enumerate(photos)}
-    names: dict[str, int] = {}
-    rows = [
-        (names.setdefault(point, len(names)), k, row)
-        for row, (point, name) in enumerate(zip(given.points, given.photographs, strict=True))
-        if (k := index.get(name, index.get(Path(name).stem))) is not None
-    ]
-    if not rows:
-        raise InputError(
-            "holds no measurement in a photograph of the project", file=given.path, field="orient.tie_points"
-        )
-    rows.sort()
-    table = np.array(rows, dtype=np.int64)
-    sigma = given.sigma_px[table[:, 2]]
-    ties = TiePoints(
-        tuple(photo.name for photo in photos),
-        table[:, 0].copy(),
-        table[:, 1].copy(),
-        given.pixels[table[:, 2]],
-        np.where(np.isfinite(sigma), sigma, _STATED_SIGMA_PX),
-        np.full(len(table), -1, dtype=np.int64),
-    )
-    ties = ties.with_rays(2).numbered()
-    return ties, {"tie_points": ties.count, "tie_observations": len(ties), "from": given.path.name}
-
-
 @dataclass(frozen=True, eq=False)
 class _Started:
     parts: tuple[PartStart, ...]
@@ -262,13 +290,13 @@ class _Started:
 def _start(
     database: MeasurementDatabase,
     photos: Sequence[BlockPhoto],
-    selection: PairSelection,
-    ties: TiePoints,
+    tied: _Tied,
     inputs: OrientInputs,
     progress: ProgressSink,
 ) -> _Started:
     cameras = [photo.camera for photo in photos]
-    poses = pair_poses(database, photos, selection)
+    ties, poses = tied.ties, tied.poses
+    options = None if inputs.tie_points is None else JoiningOptions(least_points=LEAST_POINTS)
     positions = KnownPositions(inputs.positions.tangent, inputs.positions.sigma_m)
     has_positions = bool(np.isfinite(inputs.positions.tangent).any())
     control = known_points(inputs.control, photos) if inputs.control is not None else None
@@ -289,6 +317,7 @@ def _start(
         poses,
         positions if has_positions else None,
         control,
+        options=options,
         progress=_named(progress, "start"),
     )
     points = np.full((int(ties.point.max()) + 1, 3), np.nan)

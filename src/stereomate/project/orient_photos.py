@@ -34,7 +34,8 @@ class RawPhoto:
     name : str
         File name without extension.
     path : Path
-    info : RasterInfo
+    info : RasterInfo or None
+        None where there is no file: a photograph known by its measurements only.
     tags : CameraTags
     camera : Camera
     calibrated : bool
@@ -49,7 +50,7 @@ class RawPhoto:
 
     name: str
     path: Path
-    info: RasterInfo
+    info: RasterInfo | None
     tags: CameraTags
     camera: Camera
     calibrated: bool
@@ -132,7 +133,7 @@ def raw_photos(file: ProjectFile, path: Path, named: Mapping[str, str | None] | 
         photos = _with_described(file, path, found, described, named or {}, problems, notes)
     else:
         photos = _with_drafted(path, found, problems, notes)
-    _require_unique(photos, path)
+    require_unique(photos, path)
     if len(photos) < 2:
         if problems:
             raise problems[0].error
@@ -142,12 +143,13 @@ def raw_photos(file: ProjectFile, path: Path, named: Mapping[str, str | None] | 
     return RawPhotos(tuple(photos), tuple(problems), tuple(notes))
 
 
-def _require_unique(photos: Sequence[RawPhoto], path: Path) -> None:
+def require_unique(photos: Sequence[RawPhoto], path: Path, field: str = "photos.files") -> None:
+    """Refuse names that are the same but for their extension."""
     counts = Counter(photo.name for photo in photos)
     twice = sorted(name for name, count in counts.items() if count > 1)
     if twice:
         rule = "names photographs that differ only in their extension"
-        raise ProjectError(rule, file=path, field="photos.files", value=twice[0])
+        raise ProjectError(rule, file=path, field=field, value=twice[0])
 
 
 def _with_described(

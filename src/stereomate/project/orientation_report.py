@@ -61,7 +61,7 @@ def write_strength_report(path: Path, project: Project, geometries: Sequence[Pai
         title=project.name,
         subtitle="Strength of the relative orientations",
         facts=[
-            ("Map", project.frame.name if project.frame.name != "unknown" else project.frame.crs),
+            ("Map", project.frame.name),
             ("Pairs", f"{len(geometries)}, {doubtful} of them weak or near critical"),
         ],
         sections=[strength_section(geometries)],

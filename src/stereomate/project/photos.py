@@ -49,7 +49,7 @@ def photo_files(
             raise ProjectError(rule, file=project, field="photos.files", value=str(folder / pattern))
         found.update(dict.fromkeys(matches))
     files = sorted(
-        (path for path in found if not any(_excluded(path, name) for name in left_out)),
+        (path for path in found if not any(is_excluded(path, name) for name in left_out)),
         key=lambda path: (path.name, str(path)),
     )
     if not files:
@@ -148,7 +148,8 @@ def _is_pattern(text: str) -> bool:
     return any(mark in text for mark in "*?[")
 
 
-def _excluded(path: Path, name: str) -> bool:
+def is_excluded(path: Path, name: str) -> bool:
+    """Whether a name (with or without extension) or a pattern means a photograph."""
     return name in (path.name, path.stem) or path.match(name)
 
 

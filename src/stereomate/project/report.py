@@ -20,7 +20,7 @@ from stereomate.project.orientation_report import strength_section
 from stereomate.project.orientation_sections import ProjectSectionOptions, sections_of_coverage
 from stereomate.project.product_report import product_section
 from stereomate.project.run import RunResult
-from stereomate.project.run_record import Findings, run_record, write_run_record
+from stereomate.project.run_record import Findings, left_and_right, run_record, write_run_record
 from stereomate.report.page import Picture, ReportContent, Section, Table, write_report
 from stereomate.report.run_figures import (
     layout_figure,
@@ -180,19 +180,13 @@ def _pairs(result: RunResult) -> Section:
         for m in job.models
         if m.right >= 0
     }
-    rows = tuple(
-        (
-            *pair.names,
-            f"{pair.overlap:.0%}",
-            f"{pair.base_m:.2f}",
-            f"{pair.base_height:.3f}",
-            f"{pair.azimuth_deg:.2f}",
-            "yes" if frozenset(pair.names) in serving else "",
-        )
-        for pair in result.coverage.pairs
-    )
-    headings = ("photograph", "photograph", "overlap", "base, m", "base/height", "azimuth, °", "model")
-    return Section("Pairs", tables=(Table(headings, rows),))
+    rows = []
+    for pair in result.coverage.pairs:
+        names, azimuth = left_and_right(pair, result)
+        figures = (f"{pair.overlap:.0%}", f"{pair.base_m:.2f}", f"{pair.base_height:.3f}", f"{azimuth:.2f}")
+        rows.append((*names, *figures, "yes" if frozenset(names) in serving else ""))
+    headings = ("left", "right", "overlap", "base, m", "base/height", "azimuth, °", "model")
+    return Section("Pairs", tables=(Table(headings, tuple(rows)),))
 
 
 def _relative_orientation(result: RunResult) -> list[Section]:

@@ -16,6 +16,7 @@ from stereomate.raster.files import write_whole
 
 # Whoever only reads a record loads none of these.
 if TYPE_CHECKING:
+    from stereomate.coverage.pairs import Pair
     from stereomate.project.accuracy_report import Judgement
     from stereomate.project.check_points import CheckPoints
     from stereomate.project.grid_effects import GridEffect
@@ -80,17 +81,7 @@ def run_record(result: RunResult, found: Findings, made: Mapping[str, Any]) -> d
             }
             for f in coverage.known
         ],
-        "pairs": [
-            {
-                "left": p.names[0],
-                "right": p.names[1],
-                "overlap": p.overlap,
-                "base_m": p.base_m,
-                "base_height": p.base_height,
-                "azimuth_deg": p.azimuth_deg,
-            }
-            for p in coverage.pairs
-        ],
+        "pairs": [_pair(p, result) for p in coverage.pairs],
         "accuracy": {
             "requirements": [j.as_record() for j in found.judged],
             "check_points": None if found.checked is None else found.checked.as_record(),
@@ -103,6 +94,38 @@ def run_record(result: RunResult, found: Findings, made: Mapping[str, Any]) -> d
         "map_projection": [e.as_record() for e in found.effects],
         "products": [_product(product) for product in result.products],
         "not_modelled": list(found.not_modelled),
+    }
+
+
+def left_and_right(pair: Pair, result: RunResult) -> tuple[tuple[str, str], float]:
+    """Left and right photograph of a pair as in the product it serves, and the azimuth of its base.
+
+    A pair that is no model is ordered along the columns of the first product.
+    """
+    sides = {
+        frozenset(names): names
+        for made in result.products
+        for job in (made.product.job,)
+        for m in job.models
+        if m.right >= 0 and (names := (job.photographs[m.left].name, job.photographs[m.right].name))
+    }
+    cos, sin = result.products[0].product.job.grid.cos_sin
+    azimuth = math.radians(pair.azimuth_deg)
+    along = cos * math.sin(azimuth) + sin * math.cos(azimuth)
+    first, second = pair.names
+    names = sides.get(frozenset(pair.names), (first, second) if along >= 0.0 else (second, first))
+    return names, pair.azimuth_deg if names[0] == first else (pair.azimuth_deg + 180.0) % 360.0
+
+
+def _pair(pair: Pair, result: RunResult) -> dict[str, Any]:
+    (left, right), azimuth = left_and_right(pair, result)
+    return {
+        "left": left,
+        "right": right,
+        "overlap": pair.overlap,
+        "base_m": pair.base_m,
+        "base_height": pair.base_height,
+        "azimuth_deg": azimuth,
     }
 
 
