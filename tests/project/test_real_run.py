@@ -65,6 +65,9 @@ def test_ngi_left_is_the_western_photograph_though_exposed_later(ngi):
     names = [p["name"] for p in record["photographs"]]
     assert names[model["left"]].endswith("0184_RGB")
     assert names[model["right"]].endswith("0182_RGB")
+    (pair,) = json.loads((ngi.out / "report.json").read_text())["pairs"]
+    assert (pair["left"][-8:], pair["right"][-8:]) == ("0184_RGB", "0182_RGB")
+    assert 89.0 < pair["azimuth_deg"] < 90.0
     assert record["law"]["kind"] == "logarithmic"
     # North-up: 27 m of 2616 m of base lie across the rows.
     assert record["grid"]["rotation_rad"] == 0.0

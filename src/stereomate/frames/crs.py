@@ -277,7 +277,9 @@ def datum_note(first: Geodetic, second: Geodetic) -> str | None:
     if first.crs == second.crs or (first.declared and second.declared) or not same_datum(first, second):
         return None
     unknown, other = (second, first) if first.declared else (first, second)
-    return f"{unknown.name!r} names only an ellipsoid; it is taken to be on the datum of {other.name!r}"
+    nameless = unknown.name.lower() == "unknown"
+    what = "one of the two CRS" if nameless else repr(unknown.name)
+    return f"{what} names only an ellipsoid; it is taken to be on the datum of {other.name!r}"
 
 
 def datum_operation(

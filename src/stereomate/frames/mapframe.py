@@ -57,8 +57,9 @@ class MapFrame:
 
     @property
     def name(self) -> str:
-        """Name of the CRS."""
-        return str(crs_module.parse(self.crs).name)
+        """Name of the CRS; where it has none, what the user wrote."""
+        name = str(crs_module.parse(self.crs).name)
+        return self.crs if name == "unknown" else name
 
     @property
     def unit_m(self) -> float:

@@ -109,11 +109,9 @@ def left_and_right(pair: Pair, result: RunResult) -> tuple[tuple[str, str], floa
         for m in job.models
         if m.right >= 0 and (names := (job.photographs[m.left].name, job.photographs[m.right].name))
     }
-    cos, sin = result.products[0].product.job.grid.cos_sin
-    azimuth = math.radians(pair.azimuth_deg)
-    along = cos * math.sin(azimuth) + sin * math.cos(azimuth)
     first, second = pair.names
-    names = sides.get(frozenset(pair.names), (first, second) if along >= 0.0 else (second, first))
+    forward = pair.left_right(result.products[0].product.job.grid.rotation)[0] == pair.first
+    names = sides.get(frozenset(pair.names), (first, second) if forward else (second, first))
     return names, pair.azimuth_deg if names[0] == first else (pair.azimuth_deg + 180.0) % 360.0
 
 
