@@ -32,6 +32,7 @@ from stereomate.viewer.imagery import Stretch, stretch_of
 from stereomate.viewer.kept import KeptFiles
 from stereomate.viewer.lattice import measuring_lattice
 from stereomate.viewer.objects import object_heights
+from stereomate.viewer.page_files import joined_modules
 from stereomate.viewer.points import read_points
 from stereomate.viewer.publish import is_site, publish
 from stereomate.viewer.server import PublishedFolder
@@ -378,8 +379,41 @@ def test_options_are_checked():
             SiteOptions(**bad)
 
 
-def test_page_preloads_all_its_modules(site):
-    """A browser that finds modules one inside the other waits for each in turn."""
+def test_first_picture_is_named_at_once(site):
+    """Modules that a browser finds one inside the other are waited for in turn: they are one, and records
+    and coarsest tiles are asked for beside it."""
     text = site.read("index.html").decode()
-    named = set(re.findall(r'<link rel="modulepreload" href="([^"]+)">', text)) | {"main.js"}
-    assert named == {name for name in site.names() if name.endswith(".js")}
+    assert re.findall(r'<script type="module" src="([^"]+)"', text) == ["page.js"]
+    assert [name for name in site.names() if name.endswith(".js")] == ["page.js"]
+    wanted = re.findall(r'<link rel="preload" as="fetch" href="([^"]+)" crossorigin', text)
+    assert wanted[:2] == ["data/products.json", "data/0/product.json"]
+    record = json.loads(site.read(wanted[1]))
+    top = record["tiles"]["levels"] - 1
+    assert wanted[2:] == [
+        f"data/0/{eye}/{top}/0_0.jpg?v={record['version']}" for eye in record["tiles"]["eyes"]
+    ]
+    assert {name.partition("?")[0] for name in wanted} <= set(site.names())
+
+
+def test_modules_are_joined_or_refused():
+    modules = {
+        "main.js": "import { a, b as c } from './x/one.js';\nc(a);\n",
+        "x/one.js": "import { d } from '../two.js';\n// note\nexport const a = d;\nexport function b() {}\n",
+        "two.js": "export class d {}\n",
+    }
+    text = joined_modules(modules, "main.js")
+    assert re.findall(r"^(?:import|export|//).*", text, re.MULTILINE) == []
+    assert re.findall(r"^const (module_\w+) =", text, re.MULTILINE) == ["module_two", "module_x_one"]
+    assert "const { a, b: c } = module_x_one;\nc(a);" in text
+    for name, change, message in (
+        (
+            "two.js",
+            "import { a } from './x/one.js';\nexport class d {}\n",
+            "imports itself: main.js > x/one.js > ",
+        ),
+        ("two.js", "export class e {}\n", "imports d, which two.js does not export"),
+        ("two.js", "export class d {}\nexport default d;\n", "not joined"),
+        ("main.js", "import { a } from './three.js';\n", "does not exist"),
+    ):
+        with pytest.raises(FormatError, match=message):
+            joined_modules(modules | {name: change}, "main.js")

@@ -15,7 +15,6 @@ from rasterio.enums import Resampling
 from stereomate.errors import InputError
 from stereomate.raster.handles import Handles, gdal_window, reading
 from stereomate.raster.info import RasterInfo, info_of
-from stereomate.raster.kernels import interleave
 from stereomate.raster.windows import Window
 
 
@@ -30,16 +29,14 @@ class PyramidReader:
         self._full = Handles(Path(path))
         self._resampling = Resampling.nearest if nearest else Resampling.average
         self._overviews: dict[int, Handles] = {}
+        self._fitting: dict[int, Handles | None] = {}
         with self._full.lend() as handle:
             self.info: RasterInfo = info_of(self._full.path, handle)
             factors = list(handle.overviews(1))
         for index, factor in enumerate(factors):
             level = factor.bit_length() - 1
             if factor == 1 << level:
-                overview = Handles(self._full.path, index)
-                with overview.lend() as handle:
-                    if (handle.width, handle.height) == self.size(level):
-                        self._overviews[level] = overview
+                self._overviews[level] = Handles(self._full.path, index)
 
     def __enter__(self) -> Self:
         return self
@@ -83,7 +80,7 @@ class PyramidReader:
         shape = (window.rows, window.cols)
         if window.is_empty:
             return np.empty((*shape, self.info.bands), self.info.dtype), np.empty(shape, np.bool_), window
-        handles = self._full if level == 0 else self._overviews.get(level)
+        handles = self._handles(level)
         if handles is not None:
             place, handles_used = gdal_window(window), handles
         else:
@@ -95,8 +92,22 @@ class PyramidReader:
             )
             mask = handle.dataset_mask(window=place, out_shape=shape, resampling=Resampling.nearest)
         pixels = np.empty((*shape, self.info.bands), bands.dtype)
-        interleave(bands, pixels)
+        # not by the kernel that interleaves: windows are small, and numba takes half a second to start
+        for band, plane in enumerate(bands):
+            pixels[..., band] = plane
         return pixels, np.asarray(mask != 0), window
+
+    def _handles(self, level: int) -> Handles | None:
+        """Those that show a level as it is: an overview is opened, to see its size, when it is wanted."""
+        if level == 0 or level in self._fitting:
+            return self._fitting.get(level, self._full)
+        overview = self._overviews.get(level)
+        if overview is None:
+            return None
+        with overview.lend() as handle:
+            fits = (handle.width, handle.height) == self.size(level)
+        self._fitting[level] = overview if fits else None
+        return self._fitting[level]
 
     def close(self) -> None:
         """Close all handles."""

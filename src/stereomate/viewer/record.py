@@ -1,4 +1,4 @@
-"""product.json of a page: what it needs to show a product and to measure in it exactly."""
+"""product.json and measure.json of a page: what it needs to show a product, and to measure in it exactly."""
 
 from __future__ import annotations
 
@@ -45,19 +45,12 @@ def height_window(job: RectifyJob, lattice: MeasuringLattice) -> HeightWindow:
     return HeightWindow(int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1]))
 
 
-def viewer_record(
-    product: StereoProduct,
-    object_heights_m: tuple[float, ...],
-    lattice: MeasuringLattice,
-    window: HeightWindow,
-) -> dict[str, Any]:
-    """Everything but the pictures, as plain values."""
+def viewer_record(product: StereoProduct, object_heights_m: tuple[float, ...]) -> dict[str, Any]:
+    """What a product is, as plain values; what is measured with stands in `measuring_record`."""
     job = product.job
     grid, law = job.grid, job.law
     code, parameters = law.kernel_parameters()
-    cell = job.heights.cell_size_m
     cols, rows = layer_size(grid.size)
-    node_rows, node_cols = lattice.values.shape[:2]
     return {
         "format": PAGE.version,
         "software": f"stereomate {__version__}",
@@ -76,12 +69,28 @@ def viewer_record(
             "epsg": epsg_code(job.frame.crs),
             "heights": job.frame.heights.description,
             "height_unit_m": job.frame.heights.metres_per_unit,
-            "degrees": lattice.datum,
         },
         "stereo": job.is_stereo,
         "law": {"kind": law.kind, "code": code, "parameters": parameters.tolist()},
         "height_range": list(job.height_range),
         "interpolation": job.options.heights_interpolation,
+        "layers": {"cols": cols, "rows": rows, "step": layer_step(grid.size)},
+        "homogeneity": list(object_heights_m) if job.is_stereo else [],
+        "lineage": {"tile": 512, "maps": bool(product.files.lineage)},
+        "photographs": _photographs(job),
+        "models": [[m.left, m.right] for m in job.models],
+        "agreement": _agreement(product),
+    }
+
+
+def measuring_record(
+    product: StereoProduct, lattice: MeasuringLattice, window: HeightWindow
+) -> dict[str, Any]:
+    """How the lattice and the tiles of heights are to be read: nothing of it is needed to see the product."""
+    job = product.job
+    node_rows, node_cols = lattice.values.shape[:2]
+    return {
+        "datum": lattice.datum,
         "heights": {
             "tile": HEIGHT_TILE,
             "col0": window.col0,
@@ -89,7 +98,7 @@ def viewer_record(
             "cols": window.cols,
             "rows": window.rows,
             "model_size": [job.heights.shape[1], job.heights.shape[0]],
-            "cell_m": list(cell),
+            "cell_m": list(job.heights.cell_size_m),
             "scale": lattice.dem_scale,
             "highest": _highest(job, window),
         },
@@ -102,12 +111,6 @@ def viewer_record(
             "values": VALUES,
             "error_m": lattice.error_m,
         },
-        "layers": {"cols": cols, "rows": rows, "step": layer_step(grid.size)},
-        "homogeneity": list(object_heights_m) if job.is_stereo else [],
-        "lineage": {"tile": 512, "maps": bool(product.files.lineage)},
-        "photographs": _photographs(job),
-        "models": [[m.left, m.right] for m in job.models],
-        "agreement": _agreement(product),
     }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import json
 import re
@@ -10,8 +9,7 @@ import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import resources
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -26,8 +24,16 @@ from stereomate.viewer.imagery import TILE, Stretch, TileFormat, encode_image, r
 from stereomate.viewer.kept import KeptFiles
 from stereomate.viewer.lattice import MeasuringLattice, measuring_lattice
 from stereomate.viewer.objects import object_heights, surface_of
+from stereomate.viewer.page_files import page_names, read_page
 from stereomate.viewer.points import read_points
-from stereomate.viewer.record import HEIGHT_TILE, HeightWindow, height_window, product_key, viewer_record
+from stereomate.viewer.record import (
+    HEIGHT_TILE,
+    HeightWindow,
+    height_window,
+    measuring_record,
+    product_key,
+    viewer_record,
+)
 
 _EYE: Final = re.compile(r"(ortho|mate)/(\d{1,2})/(\d{1,6})_(\d{1,6})\.(?:jpg|png)")
 _PAIR: Final = re.compile(r"(lineage|heights)/(\d{1,6})_(\d{1,6})\.bin")
@@ -118,7 +124,7 @@ class ProductSource:
     @cached_property
     def _record(self) -> dict[str, Any]:
         image = self._images["ortho"]
-        return viewer_record(self.product, self.options.object_heights_m, self._lattice, self._heights) | {
+        return viewer_record(self.product, self.options.object_heights_m) | {
             "tiles": {
                 "size": TILE,
                 "apron": 1,
@@ -150,6 +156,7 @@ class ProductSource:
     def names(self) -> Iterator[str]:
         """All files, in the order in which a page wants them."""
         yield "product.json"
+        yield "measure.json"
         yield "lattice.bin"
         yield "relief.bin"
         yield from self._image_names()
@@ -184,7 +191,8 @@ class ProductSource:
         """
         simple: dict[str, Callable[[], bytes]] = {
             "product.json": self._product_json,
-            "lattice.bin": lambda: binary.encode_doubles(self._lattice.values),
+            "measure.json": self._measure_json,
+            "lattice.bin": lambda: binary.encode_doubles(self._lattice_made().values),
             "relief.bin": lambda: binary.encode_floats(layers.relief(self.product.job)),
         }
         if "lineage" in self._paths:
@@ -206,6 +214,23 @@ class ProductSource:
     def _product_json(self) -> bytes:
         with self._lock:
             return json.dumps(self._record, ensure_ascii=False, allow_nan=False).encode()
+
+    def _measure_json(self) -> bytes:
+        with self._lock:
+            record = measuring_record(self.product, self._lattice, self._heights)
+        return json.dumps(record, ensure_ascii=False, allow_nan=False).encode()
+
+    def _lattice_made(self) -> MeasuringLattice:
+        with self._lock:
+            return self._lattice
+
+    def first(self) -> Iterator[str]:
+        """What the first picture is made of."""
+        yield "product.json"
+        version, top = self._version(), self._image("ortho").levels(TILE) - 1
+        for eye in ("ortho", "mate"):
+            if eye in self._paths:
+                yield f"{eye}/{top}/0_0.{self.options.format}?v={version}"
 
     def _image(self, key: str) -> PyramidReader:
         with self._lock:
@@ -287,10 +312,17 @@ class Site:
             if not (parts[1].isdecimal() and len(parts[1]) < 6 and int(parts[1]) < len(self.sources)):
                 raise KeyError(name)
             return self.sources[int(parts[1])].read(parts[2])
-        return read_page(name)
+        return read_page(name, self._first() if name == "index.html" else ())
+
+    def _first(self) -> tuple[str, ...]:
+        """What a page wants at once, if it is not told to show another product."""
+        names = (f"data/0/{name}" for source in self.sources[:1] for name in source.first())
+        return ("data/products.json", *names)
 
     def prepare(self) -> None:
         """Make what the first picture waits for."""
+        for name in page_names():
+            self.read(name)
         for source in self.sources:
             source.read("product.json")
 
@@ -319,30 +351,6 @@ class KeptSite:
     def read(self, name: str) -> bytes:
         """As `Site.read`."""
         return self._kept.get(name, self._site.read)
-
-
-@functools.cache
-def page_names() -> tuple[str, ...]:
-    """Files of the page itself."""
-    folder = Path(str(resources.files("stereomate.viewer") / "page"))
-    return tuple(
-        path.relative_to(folder).as_posix()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.suffix in (".html", ".css", ".js")
-    )
-
-
-def read_page(name: str) -> bytes:
-    """A file of the page.
-
-    Raises
-    ------
-    KeyError
-        If there is none of that name.
-    """
-    if name not in page_names():
-        raise KeyError(name)
-    return (resources.files("stereomate.viewer") / "page" / PurePosixPath(name)).read_bytes()
 
 
 def _inside(folder: Path, name: str) -> Path:

@@ -22,8 +22,8 @@ async function get(path, version, signal) {
   return response;
 }
 
-export async function fetchJson(path) {
-  return (await get(path)).json();
+export async function fetchJson(path, version) {
+  return (await get(path, version)).json();
 }
 
 async function inflated(path, version) {

@@ -4,21 +4,23 @@ import { $, notice } from './ui/dom.js';
 import { fetchJson } from './files.js';
 import { Product } from './product.js';
 import { App } from './ui/app.js';
-import { Unsupported } from './view/renderer.js';
+import { Unsupported, begin } from './view/renderer.js';
 
 function fail(text) {
   $('app').hidden = true;
   $('message').textContent = text;
+  $('message').className = 'said';
 }
 
 async function start() {
-  const { products } = await fetchJson('data/products.json');
+  const listed = fetchJson('data/products.json'), begun = begin($('view'));
+  const { products } = await listed;
   const wanted = new URLSearchParams(location.search).get('product');
   const entry = products.find((p) => p.name === wanted) ?? products[0];
   const product = await Product.open(`data/${entry.folder}`);
   $('message').textContent = '';
   $('app').hidden = false;
-  const app = new App(product, products, entry);
+  const app = new App(begun, product, products, entry);
   window.stereomate = app;
   await app.start();
 }

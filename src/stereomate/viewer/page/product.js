@@ -26,7 +26,11 @@ export class Product {
 
   // The lattice, without which nothing is measured; pictures do not wait for it.
   loadSurface() {
-    this.surfacePromise ??= fetchDoubles(`${this.folder}/lattice.bin`, this.version).then((values) => {
+    this.surfacePromise ??= Promise.all([
+      fetchJson(`${this.folder}/measure.json`, this.version), fetchDoubles(`${this.folder}/lattice.bin`, this.version),
+    ]).then(([record, values]) => {
+      Object.assign(this.record, record);
+      this.datum = record.datum;
       const lattice = new Lattice(this.record.lattice, values);
       const tiles = new HeightTiles(this.record.heights, this.folder, this.version);
       this.surface = new Surface(this.record, lattice, tiles, this.law);

@@ -1,6 +1,9 @@
 // The lattice of a product: map, height model and tangent frame between nodes, by cubics through 4 x 4 nodes.
 
-export const BASE = 0, NORMAL = 3, DEM = 6, DEGREES = 9;
+export const BASE = 0;
+export const NORMAL = 3;
+export const DEM = 6;
+export const DEGREES = 9;
 
 function weights(f, out) {
   out[0] = -f * (f - 1) * (f - 2) / 6;

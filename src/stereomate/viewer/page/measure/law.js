@@ -1,6 +1,10 @@
 // Parallax laws q(h), inverse and slope: the same formulas as stereomate/parallax/kernels/law.py.
 
-export const NONE = 0, LINEAR = 1, LOGARITHMIC = 2, NATURAL = 3, TABLE = 4;
+export const NONE = 0;
+export const LINEAR = 1;
+export const LOGARITHMIC = 2;
+export const NATURAL = 3;
+export const TABLE = 4;
 const HEAD = 4;
 
 function knotBelow(values, first, count, value) {

@@ -1,9 +1,9 @@
 // Whether the height model hides ground from a photograph: the ray is followed from the ground upwards, cell by
 // cell of the model. Same question as measure.py's HIDDEN, asked of the same bilinear surface.
 
-import { mapped } from './exact.js';
 import { DEM } from './lattice.js';
 import { minus, norm, plus } from './linear.js';
+import { mapped } from './mapped.js';
 
 // A ray that ends this much before its ground met something else, metres.
 const HIDDEN_M = 0.1;

@@ -16,11 +16,16 @@ import { keep, shortVertices, stateOfHash, stored } from './link.js';
 import { printSheet } from './sheet.js';
 
 const KEEP_MS = 400;
+// Tiles are uploaded for two milliseconds of a frame; where frames take long anyway, for a part of them, so that
+// the tiles of a view are there after a few.
+const UPLOAD_MS = 2, UPLOAD_PART = 0.15, LONG_FRAME_MS = 250;
+// A view that stands still for so long fetches what is around it.
+const CALM_MS = 120;
 const ACCOMMODATION_S = 0.18;
 const COLOURS = { point: [1, 0.95, 0.55], height: [0.75, 1, 0.85], line: [1, 0.9, 0.6], area: [0.85, 0.9, 1] };
 
 export class App {
-  constructor(product, products, entry) {
+  constructor(begun, product, products, entry) {
     this.product = product;
     this.products = products;
     this.entry = entry;
@@ -29,10 +34,14 @@ export class App {
     this.linesDirty = true;
     this.phase = 0;
     this.last = 0;
+    this.turn = 0;
+    this.drewLast = -1;
+    this.drew = 0;
+    this.rest = null;
     this.reading = null;
     this.canvas = $('view');
     this.changed = () => { this.dirty = true; };
-    this.renderer = new Renderer(this.canvas, product, this.changed);
+    this.renderer = new Renderer(this.canvas, begun, product, this.changed);
     this.view = viewOf(null, product);
     this.motion = new Motion(this.view);
     this.mark = new Mark(product);
@@ -51,7 +60,10 @@ export class App {
     this.#take(state);
     addEventListener('hashchange', async () => this.#take(await stateOfHash(location.hash)));
     document.title = `${this.product.title || this.product.name || 'Stereo product'} – stereo viewer`;
+    const pictured = new Promise((done) => { this.pictured = done; });
     requestAnimationFrame((time) => this.#frame(time));
+    // what is measured with, and drawn by, is fetched and computed when there is something to see
+    await pictured;
     try {
       await this.product.loadSurface();
       await this.product.loadRelief();
@@ -220,21 +232,44 @@ export class App {
       const phase = Math.floor(time / (this.motion.calm.matches ? WIGGLE_CALM_MS : WIGGLE_MS)) % 2;
       if (phase !== this.phase) { this.phase = phase; this.dirty = true; }
     }
-    if (!this.dirty) return;
+    if (!this.dirty) {
+      this.#idle(time);
+      return;
+    }
+    const gap = this.drewLast === this.turn ? Math.min(time - this.drew, LONG_FRAME_MS) : 0;
+    this.drewLast = ++this.turn;
+    this.drew = time;
     this.dirty = false;
     if (this.linesDirty) {
       this.linesDirty = false;
       this.#lines();
     }
-    if (this.renderer.draw(this.view, this.phase)) this.dirty = true;
+    if (this.renderer.draw(this.view, this.phase, Math.max(UPLOAD_MS, UPLOAD_PART * gap))) this.dirty = true;
     this.overlay.draw(this.labels);
     this.#failures();
-    if (!this.shown && this.renderer.cache.resident.size >= this.product.tiles.eyes.length) {
-      this.shown = true;
-      performance.mark('first picture');
-    }
+    if (!this.shown && this.renderer.isBegun) this.#firstPicture();
     this.renderer.frameTook(performance.now() - started);
     this.frames = (this.frames ?? 0) + 1;
+  }
+
+  #firstPicture() {
+    this.shown = true;
+    performance.mark('first picture');
+    this.renderer.whenDrawn(() => {
+      performance.mark('first picture drawn');
+      this.pictured();
+    });
+  }
+
+  // Nothing is drawn: what the view would show if it went on as it went lately is fetched.
+  #idle(time) {
+    const { view, rest } = this;
+    this.turn++;
+    if (time - this.drew < CALM_MS || this.renderer.cache.isBusy || navigator.connection?.saveData) return;
+    if (rest && rest.cx === view.cx && rest.cy === view.cy && rest.zoom === view.zoom) return;
+    const ahead = rest && rest.zoom === view.zoom ? [view.cx - rest.cx, view.cy - rest.cy] : [0, 0];
+    this.rest = { cx: view.cx, cy: view.cy, zoom: view.zoom };
+    this.renderer.lookAhead(view, ahead);
   }
 
   #failures() {

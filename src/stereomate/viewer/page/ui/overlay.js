@@ -13,8 +13,13 @@ export class Overlay {
   draw(labels) {
     const { app, canvas, context } = this, { view, renderer } = app;
     const { width, height } = renderer.canvas;
+    this.#scale(view);
+    this.#north(view);
+    // a canvas without a word on it is one more picture to lay over the other
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
-    context.clearRect(0, 0, width, height);
+    else if (!canvas.hidden) context.clearRect(0, 0, width, height);
+    canvas.hidden = labels.length === 0;
+    if (canvas.hidden) return;
     const ratio = app.ratio;
     context.font = `600 ${12 * ratio}px system-ui, "DejaVu Sans", sans-serif`;
     context.lineWidth = 3 * ratio;
@@ -37,8 +42,6 @@ export class Overlay {
       }
       context.restore();
     }
-    this.#scale(view);
-    this.#north(view);
   }
 
   #scale(view) {

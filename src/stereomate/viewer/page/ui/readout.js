@@ -29,7 +29,7 @@ export class Readout {
       if (found.orientationSigma?.some((s) => s > 0)) {
         rows.push(['of the orientation', found.orientationSigma.map((s) => `±\u00a0${fixed(s, 3)}`).join(', ')]);
       }
-      rows.push([product.crs.degrees, degreesText(found.degrees)]);
+      rows.push([product.datum, degreesText(found.degrees)]);
     } else rows.push(['', element('span', { className: 'flag' }, 'Cannot be measured here')]);
     rows.push(['By the law alone', `${fixed(found.lawHeight, 2)}${found.point ? ` (${signed(found.lawHeight - found.point[2])})` : ''}`]);
     rows.push(['Ground', `${fixed(found.groundHeight, 2)}${found.point ? `, mark ${signed(found.point[2] - found.groundHeight)}` : ''}`]);

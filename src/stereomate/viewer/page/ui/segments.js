@@ -37,5 +37,3 @@ export class Segments {
     return new Float32Array(this.numbers);
   }
 }
-
-export { SEGMENT };

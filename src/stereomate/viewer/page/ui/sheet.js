@@ -10,7 +10,7 @@ const SHEET_MM = [277, 150];
 
 // Picture of the view as it is drawn now.
 function picture(app) {
-  app.renderer.draw(app.view, app.phase);
+  app.renderer.draw(app.view, app.phase, Infinity);
   const { width, height } = app.canvas, canvas = element('canvas', { width, height });
   const context = canvas.getContext('2d');
   context.drawImage(app.canvas, 0, 0);

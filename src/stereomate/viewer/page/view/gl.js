@@ -17,18 +17,25 @@ export function nearest(gl) {
   gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
 }
 
-export function program(gl, vertex, fragment) {
+// Begin to compile a program. The driver does so beside the page until it is asked what came of it.
+export function beginProgram(gl, [vertex, fragment]) {
   const id = gl.createProgram();
-  for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
+  const shaders = [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]].map(([kind, text]) => {
     const shader = gl.createShader(kind);
     gl.shaderSource(shader, text);
     gl.compileShader(shader);
     gl.attachShader(id, shader);
-    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS) && !gl.isContextLost()) {
-      throw new Error(gl.getShaderInfoLog(shader));
-    }
-  }
+    return shader;
+  });
   gl.linkProgram(id);
+  return { id, shaders };
+}
+
+// The program with the places of its uniforms, by name; waits until it is compiled.
+export function readyProgram(gl, { id, shaders }) {
+  if (!gl.getProgramParameter(id, gl.LINK_STATUS) && !gl.isContextLost()) {
+    throw new Error([...shaders.map((shader) => gl.getShaderInfoLog(shader)), gl.getProgramInfoLog(id)].join('\n'));
+  }
   const found = { id };
   const count = gl.getProgramParameter(id, gl.ACTIVE_UNIFORMS) ?? 0;
   for (let k = 0; k < count; k++) {

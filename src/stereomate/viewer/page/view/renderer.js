@@ -1,24 +1,42 @@
 // Draws both eyes: tiles through the table of each eye, layers on the ground, lines and the mark; then mixes them.
 
 import { MODES } from './modes.js';
-import { lookupTable, mesh, nearest, program } from './gl.js';
+import { beginProgram, lookupTable, mesh, nearest, readyProgram } from './gl.js';
 import { TileCache } from './tilecache.js';
 import { Visible } from './visible.js';
-import * as shaders from './shaders.js';
+import {
+  LAYER_FRAGMENT, LINE_FRAGMENT, LINE_VERTEX, MIX_FRAGMENT, MIX_VERTEX, TILE_FRAGMENT, TILE_VERTEX,
+} from './shaders.js';
 
-const GRID = 24;
+// Cells along each side of a tile, and of a layer over the whole product.
+const GRID = 24, SHEET = 128;
 // Numbers of a line segment: both ends in both eyes, offsets in pixels, colour, width.
 export const SEGMENT = 17;
+const PROGRAMS = {
+  tile: [TILE_VERTEX, TILE_FRAGMENT],
+  mix: [MIX_VERTEX, MIX_FRAGMENT],
+  layer: [TILE_VERTEX, LAYER_FRAGMENT],
+  line: [LINE_VERTEX, LINE_FRAGMENT],
+};
 
 export class Unsupported extends Error {}
 
+// The context of a canvas, and the programs that the first picture needs: asked for before anything is known of
+// the product, they are ready when it is.
+export function begin(canvas) {
+  const gl = canvas.getContext('webgl2', { alpha: false, antialias: false, depth: false, preserveDrawingBuffer: false });
+  if (!gl) throw new Unsupported('WebGL2');
+  return { gl, programs: firstPrograms(gl) };
+}
+
+const firstPrograms = (gl) => new Map(['tile', 'mix'].map((name) => [name, beginProgram(gl, PROGRAMS[name])]));
+
 export class Renderer {
-  constructor(canvas, product, changed) {
+  constructor(canvas, { gl, programs }, product, changed) {
     this.canvas = canvas;
     this.product = product;
-    const gl = canvas.getContext('webgl2', { alpha: false, antialias: false, depth: false, preserveDrawingBuffer: false });
-    if (!gl) throw new Unsupported('WebGL2');
     this.gl = gl;
+    this.begun = programs;
     this.cache = new TileCache(gl, product, changed);
     this.visible = new Visible(this.cache);
     this.#build();
@@ -31,6 +49,7 @@ export class Renderer {
     canvas.addEventListener('webglcontextlost', (event) => event.preventDefault());
     canvas.addEventListener('webglcontextrestored', () => {
       this.cache.forget();
+      this.begun = firstPrograms(gl);
       this.#build();
       this.tablesFor = '';
       this.linesChanged = true;
@@ -42,12 +61,9 @@ export class Renderer {
 
   #build() {
     const gl = this.gl;
-    this.tileProgram = program(gl, shaders.TILE_VERTEX, shaders.TILE_FRAGMENT);
-    this.layerProgram = program(gl, shaders.TILE_VERTEX, shaders.LAYER_FRAGMENT);
-    this.lineProgram = program(gl, shaders.LINE_VERTEX, shaders.LINE_FRAGMENT);
-    this.mixProgram = program(gl, shaders.MIX_VERTEX, shaders.MIX_FRAGMENT);
-    this.quad = mesh(gl, 1);
-    this.grid = mesh(gl, GRID);
+    this.programs = new Map();
+    this.meshes = new Map();
+    this.quad = this.#mesh(1);
     this.table = gl.createTexture();
     this.targets = null;
     this.noRelief = gl.createTexture();
@@ -69,6 +85,20 @@ export class Renderer {
       gl.vertexAttribDivisor(place, 1);
     });
     gl.bindVertexArray(null);
+  }
+
+  // A program where it is first drawn with: most never are.
+  #program(name) {
+    if (!this.programs.has(name)) {
+      const begun = this.begun.get(name) ?? beginProgram(this.gl, PROGRAMS[name]);
+      this.programs.set(name, readyProgram(this.gl, begun));
+    }
+    return this.programs.get(name);
+  }
+
+  #mesh(cells) {
+    if (!this.meshes.has(cells)) this.meshes.set(cells, mesh(this.gl, cells));
+    return this.meshes.get(cells);
   }
 
   // Parallaxes of the ground at the nodes of a coarse grid, as both eyes show it.
@@ -114,10 +144,20 @@ export class Renderer {
     return MODES[mode].layout === 'side' ? [Math.floor(width / 2), height] : [width, height];
   }
 
-  // Draw a frame; whether another one is needed to upload tiles that have arrived.
-  draw(view, phase) {
+  // Whether there is something to draw: nothing is before the coarsest tile of each eye is there, or cannot be read.
+  get isBegun() {
+    this.hasBegun ||= this.cache.resident.size >= this.product.tiles.eyes.length || this.cache.failures > 0;
+    return this.hasBegun;
+  }
+
+  // Draw a frame, uploading tiles for some milliseconds; whether another one is needed for those left.
+  draw(view, phase, uploadMs) {
     const gl = this.gl, mode = MODES[view.mode];
-    const more = this.cache.upload();
+    const more = this.cache.upload(this.hasBegun ? uploadMs : Infinity);
+    if (!this.isBegun) {
+      this.cache.want(this.visible.first());
+      return false;
+    }
     this.#tables(view.eyes);
     if (this.linesChanged) {
       gl.bindBuffer(gl.ARRAY_BUFFER, this.segments);
@@ -145,6 +185,24 @@ export class Renderer {
     }
     this.cache.want(this.visible.wanted(view));
     return more;
+  }
+
+  // Fetch what the view shows next if it moves on by `ahead` (product pixels), and around it.
+  lookAhead(view, ahead) {
+    this.cache.prepare(this.visible.around(view, ahead));
+  }
+
+  // Calls back once the GPU has drawn all that it was told to.
+  whenDrawn(done) {
+    const gl = this.gl, fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    gl.flush();
+    const look = () => {
+      if (gl.isContextLost() || gl.getSyncParameter(fence, gl.SYNC_STATUS) === gl.SIGNALED) {
+        gl.deleteSync(fence);
+        done();
+      } else requestAnimationFrame(look);
+    };
+    requestAnimationFrame(look);
   }
 
   // Which pictures go where: 0 orthophoto, 1 stereomate.
@@ -224,7 +282,7 @@ export class Renderer {
   #eye(view, eye, width, height) {
     const gl = this.gl, { image, ground } = this.shifts(view, eye);
     gl.disable(gl.BLEND);
-    let used = this.tileProgram;
+    let used = this.#program('tile');
     gl.useProgram(used.id);
     this.#place(used, view, width, height, image, 1);
     gl.uniform1i(used.uImage, 0);
@@ -233,7 +291,7 @@ export class Renderer {
     gl.activeTexture(gl.TEXTURE1);
     gl.bindTexture(gl.TEXTURE_2D, this.table);
     gl.activeTexture(gl.TEXTURE0);
-    const shape = image[1] !== 0 && this.relief ? this.grid : this.quad;
+    const shape = image[1] !== 0 && this.relief ? this.#mesh(GRID) : this.quad;
     gl.bindVertexArray(shape.array);
     const sharp = view.zoom >= 4;
     for (const part of this.visible.parts(view, eye, width, height, this.#moved(image))) {
@@ -249,14 +307,14 @@ export class Renderer {
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
     if (this.layers.length) {
-      used = this.layerProgram;
+      used = this.#program('layer');
       gl.useProgram(used.id);
       this.#place(used, view, width, height, ground, 0);
       gl.uniform1i(used.uImage, 0);
       const { cols, rows, step } = this.product.layers;
       gl.uniform4f(used.uTexture, 0, 0, 1, 1);
       gl.uniform4f(used.uRectangle, 0, 0, cols * step, rows * step);
-      const sheet = ground[1] === 0 ? this.quad : this.large();
+      const sheet = ground[1] === 0 ? this.quad : this.#mesh(SHEET);
       gl.bindVertexArray(sheet.array);
       for (const layer of this.layers) {
         gl.bindTexture(gl.TEXTURE_2D, layer.texture);
@@ -267,15 +325,10 @@ export class Renderer {
     gl.bindVertexArray(null);
   }
 
-  // A fine mesh for layers that lie on the ground of the whole product.
-  large() {
-    this.largeMesh ??= mesh(this.gl, 128);
-    return this.largeMesh;
-  }
-
   #drawLines(view, eye, width, height, shift) {
-    const gl = this.gl, used = this.lineProgram, count = this.lines.length / SEGMENT;
+    const gl = this.gl, count = this.lines.length / SEGMENT;
     if (!count) return;
+    const used = this.#program('line');
     gl.useProgram(used.id);
     this.#place(used, view, width, height, shift, 1);
     gl.uniform1i(used.uEye, this.product.stereo ? eye : 0);
@@ -298,7 +351,7 @@ export class Renderer {
   }
 
   #mix(mode, targets, height) {
-    const gl = this.gl, used = this.mixProgram;
+    const gl = this.gl, used = this.#program('mix');
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.viewport(0, 0, this.canvas.width, this.canvas.height);
     gl.disable(gl.SCISSOR_TEST);

@@ -3,7 +3,8 @@
 import { fetchBitmap } from '../files.js';
 
 const CONCURRENT = 12;
-const UPLOAD_MS = 2;
+// Of those that are not shown yet: few, so that what is shown next need not wait for them.
+const CONCURRENT_AHEAD = 3;
 const RETRY_MS = [1000, 4000, 15000];
 
 export const EYES = ['ortho', 'mate'];
@@ -28,6 +29,11 @@ export class TileCache {
     this.shown = new Set();
     this.loading = new Map();
     this.ready = [];
+    // beside the view: bitmaps that cost no frame, because nothing of them is uploaded before it is shown
+    this.ahead = new Map();
+    this.aheadCapacity = Math.ceil(this.capacity / 4);
+    this.aheadWaiting = [];
+    this.aheadLoading = new Map();
     this.failed = new Map();
     this.uploads = 0;
     this.uploadedTwice = 0;
@@ -48,19 +54,42 @@ export class TileCache {
   // Say which tiles the view shows, in the order of their importance; others that wait are given up.
   want(shown) {
     this.waiting.clear();
-    // the first picture is the coarsest one: nothing else is asked for before it is there
-    if (this.resident.size === 0) shown = shown.filter(([, level]) => level === this.levels - 1);
     this.shown = new Set(shown.map(keyOf));
     for (const place of shown) {
       const key = keyOf(place);
-      if (!this.resident.has(key) && !this.loading.has(key) && !this.#isBlocked(key)) this.waiting.set(key, place);
+      if (this.resident.has(key) || this.loading.has(key) || this.#isBlocked(key)) continue;
+      if (!this.#take(key, place)) this.waiting.set(key, place);
     }
+    if (this.waiting.size) this.aheadWaiting = [];
     for (const [key, job] of this.loading) if (!this.shown.has(key)) job.abort();
     this.ready = this.ready.filter((tile) => {
       if (this.shown.has(tile.key)) return true;
       this.loading.delete(tile.key);
       tile.bitmap.close();
       return false;
+    });
+    this.#next();
+  }
+
+  // What was fetched ahead, or is on its way; whether it is.
+  #take(key, place) {
+    const bitmap = this.ahead.get(key), job = this.aheadLoading.get(key);
+    if (bitmap) {
+      this.ahead.delete(key);
+      this.loading.set(key, new AbortController());
+      this.ready.push({ key, place, bitmap });
+    } else if (job) {
+      this.aheadLoading.delete(key);
+      this.loading.set(key, job);
+    }
+    return Boolean(bitmap || job);
+  }
+
+  // Say what the view may show next, in the order of its likelihood: fetched while nothing else is.
+  prepare(places) {
+    this.aheadWaiting = places.slice(0, this.aheadCapacity).filter((place) => {
+      const key = keyOf(place);
+      return !this.resident.has(key) && !this.ahead.has(key) && !this.aheadLoading.has(key) && !this.#isBlocked(key);
     });
     this.#next();
   }
@@ -74,29 +103,46 @@ export class TileCache {
     for (const [key, place] of this.waiting) {
       if (this.loading.size >= CONCURRENT) return;
       this.waiting.delete(key);
-      this.#fetch(key, place);
+      this.#fetch(key, place, this.loading);
+    }
+    while (this.loading.size === 0 && this.aheadLoading.size < CONCURRENT_AHEAD && this.aheadWaiting.length) {
+      const place = this.aheadWaiting.shift();
+      this.#fetch(keyOf(place), place, this.aheadLoading);
     }
   }
 
-  async #fetch(key, place) {
+  async #fetch(key, place, jobs) {
     const job = new AbortController();
-    this.loading.set(key, job);
+    jobs.set(key, job);
     const path = `${this.product.folder}/${key}.${this.product.tiles.format}`;
     try {
       const bitmap = await fetchBitmap(path, this.product.version, job.signal);
       if (job.signal.aborted) {
         bitmap.close();
         this.loading.delete(key);
+      } else if (this.aheadLoading.delete(key)) {
+        this.#keepAhead(key, bitmap);
       } else {
         this.ready.push({ key, place, bitmap });
         this.failed.delete(key);
       }
     } catch (error) {
-      this.loading.delete(key);
-      if (error.name !== 'AbortError') this.#failure(key, error);
+      // what was not asked for by the view is asked for again when it is
+      if (!this.aheadLoading.delete(key)) {
+        this.loading.delete(key);
+        if (error.name !== 'AbortError') this.#failure(key, error);
+      }
     }
     this.#next();
-    this.changed();
+    if (this.shown.has(key)) this.changed();
+  }
+
+  #keepAhead(key, bitmap) {
+    this.ahead.set(key, bitmap);
+    if (this.ahead.size <= this.aheadCapacity) return;
+    const [oldest, dropped] = this.ahead.entries().next().value;
+    this.ahead.delete(oldest);
+    dropped.close();
   }
 
   #failure(key, error) {
@@ -106,15 +152,15 @@ export class TileCache {
     setTimeout(() => this.changed(), wait + 10);
   }
 
-  // Upload what has arrived, for two milliseconds at most; whether something is left.
-  upload() {
+  // Upload what has arrived, for some milliseconds; whether something is left.
+  upload(milliseconds) {
     this.frame++;
     const start = performance.now();
     while (this.ready.length) {
       const tile = this.ready.shift();
       this.loading.delete(tile.key);
       this.#put(tile);
-      if (performance.now() - start > UPLOAD_MS) break;
+      if (performance.now() - start > milliseconds) break;
     }
     return this.ready.length > 0;
   }

@@ -12,6 +12,30 @@ export class Visible {
     this.shown = [];
   }
 
+  // The coarsest tiles of all eyes: the first picture.
+  first() {
+    this.begin();
+    for (const eye of this.cache.product.tiles.eyes) this.#coarsest(eye);
+    return this.shown;
+  }
+
+  // Tiles beside those shown now, nearest first to where the view is when it moves on.
+  around(view, [aheadX, aheadY]) {
+    const { tile } = this.cache, found = new Map();
+    for (const [eye, level, col, row] of this.shown) {
+      if (level === this.cache.levels - 1) continue;
+      const [cols, rows] = this.cache.levelSize(level).map((n) => Math.ceil(n / tile));
+      for (let r = Math.max(row - 1, 0); r <= Math.min(row + 1, rows - 1); r++) {
+        for (let c = Math.max(col - 1, 0); c <= Math.min(col + 1, cols - 1); c++) {
+          const edge = tile * 2 ** level;
+          const distance = Math.hypot((c + 0.5) * edge - view.cx - aheadX, (r + 0.5) * edge - view.cy - aheadY);
+          found.set(`${eye}/${level}/${c}_${r}`, { place: [eye, level, c, r], distance });
+        }
+      }
+    }
+    return [...found.values()].sort((a, b) => a.distance - b.distance).map(({ place }) => place);
+  }
+
   // Level whose pixels are nearest to those of the screen.
   level(zoom) {
     return Math.min(Math.max(Math.round(Math.log2(1 / zoom)), 0), this.cache.levels - 1);
