@@ -25,7 +25,7 @@ from stereomate.synthetic.kernels.trace import (
     trace_terrain,
 )
 from stereomate.synthetic.layout import road_distances
-from stereomate.synthetic.objects import object_arrays
+from stereomate.synthetic.objects import Reach, object_arrays
 from stereomate.synthetic.survey import make_survey
 
 
@@ -146,7 +146,7 @@ def test_search_grid_finds_what_trying_all_finds():
     xy = np.stack([rng.uniform(5.0, 95.0, 40), -rng.uniform(5.0, 95.0, 40)], axis=-1)
     trees = np.column_stack([xy, np.full(40, 1.0), rng.uniform(5.0, 15.0, 40), rng.uniform(1.0, 3.0, 40)])
     trees = np.column_stack([trees, rng.integers(0, 2, 40).astype(float)])
-    objects = object_arrays(HOUSE, trees, np.zeros((51, 51)), 2.0, 1.0, 8.0)
+    objects = object_arrays(HOUSE, trees, np.zeros((51, 51)), 2.0, Reach(1.0, 1.0, (0.6, 0.8)), 8.0)
     hits = 0
     for _ in range(400):
         start = np.array([rng.uniform(-5.0, 105.0), -rng.uniform(-5.0, 105.0), rng.uniform(0.0, 25.0)])

@@ -10,6 +10,7 @@ import pytest
 
 from stereomate.frames.attitude import AttitudeConvention, object_from_camera
 from stereomate.synthetic.options import SurveyOptions
+from stereomate.synthetic.render import render_photograph
 from stereomate.synthetic.survey import make_survey
 from stereomate.tiles.executor import Threads
 
@@ -241,3 +242,17 @@ def test_overlap_lets_every_inner_point_be_seen_twice(small_survey):
         for number in range(len(small_survey.survey.photographs))
     )
     assert (seen >= 2).mean() > 0.97
+
+
+def test_rays_and_shadows_are_looked_for_wherever_they_are(small_survey):
+    photograph, world = small_survey.survey.photographs[1], small_survey.world
+    objects = world.scene.objects
+    assert 0.05 < objects.hides.mean() < 0.9
+    assert 0.02 < objects.shades.mean() < 0.9
+    quick = render_photograph(world, photograph, 1)
+    everywhere = objects._replace(hides=np.ones_like(objects.hides), shades=np.ones_like(objects.shades))
+    slow = render_photograph(replace(world, scene=world.scene._replace(objects=everywhere)), photograph, 1)
+    np.testing.assert_array_equal(quick, slow)
+    nowhere = objects._replace(shades=np.zeros_like(objects.shades))
+    unlit = render_photograph(replace(world, scene=world.scene._replace(objects=nowhere)), photograph, 1)
+    assert (quick != unlit).any(axis=-1).mean() > 0.001

@@ -24,6 +24,7 @@ from stereomate.synthetic.kernels.scene import Objects, Scene, TerrainGrid, Text
 from stereomate.synthetic.kernels.trace import heights_of_points
 from stereomate.synthetic.objects import (
     Building,
+    Reach,
     Tree,
     building_rows,
     cell_lists,
@@ -70,7 +71,7 @@ def make_world(options: SurveyOptions) -> SyntheticWorld:
     houses = layout.build_village(streams[1], places, options.buildings, ground)
     trees = layout.plant_trees(streams[2], places, houses, options.trees, ground)
     nowhere = np.zeros(2)
-    reach, sun_reach = _reach(options, terrain.heights)
+    reach = _reach(options, terrain.heights)
     cell = max(8.0, max(extent) / 1000.0)
     objects = object_arrays(
         building_rows(houses, nowhere), tree_rows(trees, nowhere), terrain.heights, step, reach, cell
@@ -78,7 +79,7 @@ def make_world(options: SurveyOptions) -> SyntheticWorld:
     targets = _choose_targets(options, streams[3], places, objects, turn)
     texture = _texture(options, streams[4], places, terrain, objects, houses, trees, targets)
     texture = texture._replace(
-        shadow_reach=objects.tallest * sun_reach / math.cos(math.radians(SUN_ELEVATION_DEG))
+        shadow_reach=objects.tallest * reach.sun / math.cos(math.radians(SUN_ELEVATION_DEG))
     )
     to_map = partial(_moved, origin=(west, north))
     return SyntheticWorld(
@@ -142,15 +143,17 @@ def _longer_slope(heights: Array, step: float, length: float) -> float:
     return float(rise / (lag * step))
 
 
-def _reach(options: SurveyOptions, heights: Array) -> tuple[float, float]:
-    """Sideways way per metre of height over a slope: of the flattest ray of all, and of the sun's."""
+def _reach(options: SurveyOptions, heights: Array) -> Reach:
+    """How far objects hide and shade ground that slopes."""
     slope = 1.3 * _longer_slope(heights, options.terrain_step_m, 20.0)
     sun = 1.0 / math.tan(math.radians(SUN_ELEVATION_DEG))
 
     def over_slope(tangent: float) -> float:
         return tangent / max(1.0 - slope * tangent, 0.2)
 
-    return max(over_slope(steepest_ray(options)), over_slope(sun)), over_slope(sun)
+    azimuth = math.radians(SUN_AZIMUTH_DEG)
+    to_sun = math.sin(azimuth), math.cos(azimuth)
+    return Reach(over_slope(steepest_ray(options)), over_slope(sun), to_sun)
 
 
 def _sun() -> Array:

@@ -92,6 +92,23 @@ def tree_rows(trees: tuple[Tree, ...], origin: Array) -> Array:
     return np.array(rows, dtype=np.float64).reshape(-1, 6)
 
 
+@dataclass(frozen=True)
+class Reach:
+    """How far objects hide and shade the ground.
+
+    Attributes
+    ----------
+    view, sun : float
+        Sideways way, per metre of height, of the flattest ray of a photograph and of the sun's.
+    to_sun : (float, float)
+        Direction on the map towards the sun, of unit length.
+    """
+
+    view: float
+    sun: float
+    to_sun: tuple[float, float]
+
+
 def object_boxes(buildings: Array, trees: Array) -> tuple[Array, Array]:
     """Bounding boxes (n, 4: west, south, east, north) and tops of all objects."""
     half_x = np.abs(buildings[:, 4] * buildings[:, 2]) + np.abs(buildings[:, 5] * buildings[:, 3])
@@ -117,7 +134,7 @@ def cell_lists(
 
 
 def object_arrays(
-    buildings: Array, trees: Array, heights: Array, step: float, reach_per_height: float, cell: float
+    buildings: Array, trees: Array, heights: Array, step: float, reach: Reach, cell: float
 ) -> Objects:
     """Search grid over the objects.
 
@@ -127,8 +144,8 @@ def object_arrays(
         Terrain nodes, the first at local (0, 0).
     step : float
         Mesh of the terrain.
-    reach_per_height : float
-        How far sideways, per metre of height, the flattest ray of a photograph or of the sun travels.
+    reach : Reach
+        How far objects hide and shade the ground.
     cell : float
         Side of the grid's cells.
     """
@@ -138,15 +155,54 @@ def object_arrays(
     first, items = cell_lists(boxes, cell, shape)
     top = np.full(shape[0] * shape[1], -np.inf)
     np.maximum.at(top, np.repeat(np.arange(top.size), np.diff(first)), tops[items])
-    tallest = 0.0
-    for (west, south, east, north), highest in zip(boxes, tops, strict=True):
+    above = _heights_above_ground(boxes, tops, heights, step)
+    tallest = float(above.max(initial=0.0))
+    widest = tallest * max(reach.view, reach.sun)
+    near = _touched(boxes + np.array([-widest, -widest, widest, widest]), cell, shape)
+    hides = _touched(boxes + np.outer(above * reach.view, [-1.0, -1.0, 1.0, 1.0]), cell, shape)
+    return Objects(
+        buildings,
+        trees,
+        tallest,
+        cell,
+        first,
+        items,
+        top.reshape(shape),
+        near,
+        hides,
+        _shaded(boxes, above, reach, cell, shape),
+    )
+
+
+def _heights_above_ground(boxes: Array, tops: Array, heights: Array, step: float) -> Array:
+    """Height (n,) of every object's top above the lowest terrain node under it."""
+    above = np.zeros(len(boxes))
+    for i, ((west, south, east, north), highest) in enumerate(zip(boxes, tops, strict=True)):
         r0, r1 = max(math.floor(-north / step), 0), math.ceil(-south / step) + 1
         c0, c1 = max(math.floor(west / step), 0), math.ceil(east / step) + 1
-        tallest = max(tallest, float(highest - heights[r0:r1, c0:c1].min()))
-    reach = tallest * reach_per_height
-    near_first, _ = cell_lists(boxes + np.array([-reach, -reach, reach, reach]), cell, shape)
-    near = (np.diff(near_first) > 0).astype(np.uint8).reshape(shape)
-    return Objects(buildings, trees, tallest, cell, first, items, top.reshape(shape), near)
+        above[i] = highest - heights[r0:r1, c0:c1].min()
+    return above
+
+
+def _touched(boxes: Array, cell: float, shape: tuple[int, int]) -> NDArray[np.uint8]:
+    """1 for the cells of a grid that any box touches."""
+    first, _ = cell_lists(boxes, cell, shape)
+    return (np.diff(first) > 0).astype(np.uint8).reshape(shape)
+
+
+def _shaded(
+    boxes: Array, above: Array, reach: Reach, cell: float, shape: tuple[int, int]
+) -> NDArray[np.uint8]:
+    """1 for the cells where a shadow may fall: those that boxes touch while they move away from the sun."""
+    longest = float((above * reach.sun).max(initial=0.0))
+    # between two places of a box lies less than half a cell, which the box is grown by
+    away = [t * cell for t in range(math.ceil(longest / cell) + 1)]
+    grown = boxes + 0.5 * cell * np.array([-1.0, -1.0, 1.0, 1.0])
+    shades = np.zeros(shape, np.uint8)
+    for t in away:
+        moved = grown[above * reach.sun >= t - cell] - t * np.tile(reach.to_sun, 2)
+        shades |= _touched(moved, cell, shape)
+    return shades
 
 
 def is_open(objects: Objects, local: Array) -> NDArray[np.bool_]:

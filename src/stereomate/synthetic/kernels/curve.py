@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stereomate.jit import kernel
+from stereomate.jit import inline_kernel, kernel
 
 Array = NDArray[np.float64]
 Index64 = NDArray[np.int64]
@@ -53,7 +53,7 @@ def shift_terms(exponents: Index64, terms: Array, scale: float, x: float, y: flo
     return out
 
 
-@kernel
+@inline_kernel
 def curve_of_ray(
     exponents: Index64, terms: Array, dx: float, dy: float, dz: float, powers: Array, curve: Array
 ) -> None:
@@ -78,7 +78,7 @@ def curve_of_ray(
         curve[2, degree] += terms[t, 2] * factor
 
 
-@kernel
+@inline_kernel
 def point_on_curve(curve: Array, s: float) -> tuple[float, float, float]:
     """(x, y, h) at distance s."""
     x = (((curve[0, 4] * s + curve[0, 3]) * s + curve[0, 2]) * s + curve[0, 1]) * s + curve[0, 0]
@@ -87,7 +87,7 @@ def point_on_curve(curve: Array, s: float) -> tuple[float, float, float]:
     return x, y, h
 
 
-@kernel
+@inline_kernel
 def velocity_on_curve(curve: Array, s: float) -> tuple[float, float, float]:
     """d(x, y, h)/ds at distance s."""
     vx = ((4.0 * curve[0, 4] * s + 3.0 * curve[0, 3]) * s + 2.0 * curve[0, 2]) * s + curve[0, 1]

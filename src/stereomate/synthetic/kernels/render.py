@@ -17,7 +17,7 @@ from stereomate.synthetic.kernels.texture import (
     tree_colour,
 )
 from stereomate.synthetic.kernels.trace import (
-    near_objects,
+    in_cells,
     nearest_object,
     object_before,
     start_of_ray,
@@ -46,7 +46,7 @@ def shade_rays(
     A surface number is twice that of the surface, plus 1 where it lies in shadow.
     """
     heights, step, highest, steepest = terrain
-    buildings, trees, tallest, size, first, items, tops, near = objects
+    buildings, trees, tallest, size, first, items, tops, near, hides, shades = objects
     gsd, fine, coarse, shade, mesh, seeds, looks, roads, woods, targets = texture[:10]
     target_first, target_items, building_looks, tree_looks, sun, reach = texture[10:]
     powers, curve = np.empty((3, 5)), np.empty((3, 5))
@@ -65,8 +65,7 @@ def shade_rays(
             continue
         x, y, h = point_on_curve(curve, s)
         surface = GROUND
-        by_objects = near_objects(near, size, x, y)
-        if by_objects:
+        if in_cells(hides, size, x, y):
             s, surface = object_before(
                 curve, start, s, heights, step, steepest, tallest, buildings, trees, size, first, items, tops
             )
@@ -93,7 +92,7 @@ def shade_rays(
             incidence = nx * sun_x + ny * sun_y + nh * sun_h
             lit = AMBIENT + (1.0 - AMBIENT) * incidence / sun_h
         in_shadow = lit <= AMBIENT
-        if by_objects and not in_shadow:
+        if not in_shadow and in_cells(shades, size, x, y):
             _, blocker = nearest_object(
                 buildings, trees, size, first, items, tops,
                 x + 0.02 * nx, y + 0.02 * ny, h + 0.02 * nh,

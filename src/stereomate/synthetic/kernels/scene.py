@@ -44,7 +44,9 @@ class Objects(NamedTuple):
     cell_first: NDArray[np.int32]  # (rows * cols + 1,): where the cell's items begin
     cell_items: NDArray[np.int32]
     cell_top: NDArray[np.float64]  # (rows, cols): highest object top in the cell, -inf when empty
-    near: NDArray[np.uint8]  # (rows, cols): 1 where a ray or a shadow may meet an object
+    near: NDArray[np.uint8]  # (rows, cols): 1 within the reach of any ray or shadow, whatever its direction
+    hides: NDArray[np.uint8]  # (rows, cols): 1 where an object may stand before the ground
+    shades: NDArray[np.uint8]  # (rows, cols): 1 where an object may stand before the sun
 
 
 class Texture(NamedTuple):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from stereomate.jit import kernel
+from stereomate.jit import inline_kernel, kernel
 from stereomate.synthetic.kernels.curve import Array
 from stereomate.synthetic.kernels.scene import FACES, Index, Single
 
@@ -16,7 +16,7 @@ Colour = tuple[float, float, float]
 Lit = tuple[float, float, float, float, float, float]  # colour and outward normal
 
 
-@kernel
+@inline_kernel
 def periodic_noise(tile: Single, u: float, v: float) -> float:
     """Bilinear sample of a periodic tile at (u, v) in nodes."""
     size = tile.shape[0]  # a power of two
@@ -29,7 +29,7 @@ def periodic_noise(tile: Single, u: float, v: float) -> float:
     return float(upper + (lower - upper) * e)
 
 
-@kernel
+@inline_kernel
 def fine_noise(tile: Single, gsd: float, x: float, y: float) -> float:
     """Sum of two turned copies of the fine tile (two nodes per GSD): it never repeats."""
     unit = 2.0 / gsd
@@ -39,20 +39,20 @@ def fine_noise(tile: Single, gsd: float, x: float, y: float) -> float:
     return first + second
 
 
-@kernel
+@inline_kernel
 def coarse_noise(tile: Single, gsd: float, x: float, y: float) -> float:
     """Pink mottling from a few GSD to a hundred."""
     unit = 0.5 / gsd
     return periodic_noise(tile, unit * (0.6 * x + 0.8 * y), unit * (0.6 * y - 0.8 * x))
 
 
-@kernel
+@inline_kernel
 def cover(distance: float, gsd: float) -> float:
     """Share of a pixel on the positive side of an edge at a signed distance."""
     return min(1.0, max(0.0, distance / gsd + 0.5))
 
 
-@kernel
+@inline_kernel
 def grid_sample(grid: Single, col: float, row: float) -> float:
     """Bilinear sample of a grid, at its border beyond it."""
     rows, cols = grid.shape
@@ -64,7 +64,7 @@ def grid_sample(grid: Single, col: float, row: float) -> float:
     return float(upper + (lower - upper) * e)
 
 
-@kernel
+@inline_kernel
 def road_distance(roads: Array, i: int, x: float, y: float) -> float:
     """Distance from a winding road's centre line v = a1 sin(k1 u) + a2 sin(k2 u), less its half width."""
     x, y = x - roads[i, 0], y - roads[i, 1]
@@ -78,7 +78,7 @@ def road_distance(roads: Array, i: int, x: float, y: float) -> float:
     return float(abs(v - centre) / math.sqrt(1.0 + slope * slope) - roads[i, 8])
 
 
-@kernel
+@inline_kernel
 def mixed(share: float, red: float, green: float, blue: float, towards: Colour) -> Colour:
     """A colour moved by a share towards another."""
     return (
@@ -88,7 +88,7 @@ def mixed(share: float, red: float, green: float, blue: float, towards: Colour) 
     )
 
 
-@kernel
+@inline_kernel
 def parcel_colour(seeds: Array, looks: Single, mesh: float, gsd: float, x: float, y: float) -> Colour:
     """Fields with rows, separated by hedges: the nearest of jittered seeds."""
     rows, cols = looks.shape[:2]
@@ -116,7 +116,7 @@ def parcel_colour(seeds: Array, looks: Single, mesh: float, gsd: float, x: float
     )
 
 
-@kernel
+@inline_kernel
 def ground_colour(
     fine: Single,
     coarse: Single,
@@ -154,7 +154,7 @@ def ground_colour(
     return light * red, light * green, light * blue
 
 
-@kernel
+@inline_kernel
 def paint_targets(
     targets: Array,
     first: Index,
@@ -244,7 +244,7 @@ def tree_colour(
     return red, green, blue, nx / length, ny / length, nh / length
 
 
-@kernel
+@inline_kernel
 def surface_kind(count: int, surface: int) -> tuple[int, int]:
     """(item, face) of an object's surface number; face is -1 for trees, whose item counts from 0 again."""
     if surface <= FACES * count:

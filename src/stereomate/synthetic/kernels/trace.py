@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from stereomate.jit import kernel
+from stereomate.jit import inline_kernel, kernel
 from stereomate.synthetic.kernels.curve import (
     Array,
     Index64,
@@ -19,7 +19,7 @@ from stereomate.synthetic.kernels.curve import (
 from stereomate.synthetic.kernels.scene import FACES, GROUND, Index, Objects, TerrainGrid
 
 
-@kernel
+@inline_kernel
 def height_and_slope(heights: Array, step: float, x: float, y: float) -> tuple[float, float, float]:
     """Height of the bilinear surface and its gradient (per metre east and north); NaN outside the grid."""
     rows, cols = heights.shape
@@ -74,7 +74,7 @@ def trace_terrain(curve: Array, s: float, heights: Array, step: float, steepest:
     return s
 
 
-@kernel
+@inline_kernel
 def terrain_from_guess(
     curve: Array, start: float, guess: float, heights: Array, step: float, steepest: float
 ) -> float:
@@ -257,12 +257,12 @@ def nearest_object(
     return best, surface
 
 
-@kernel
-def near_objects(near: NDArray[np.uint8], size: float, x: float, y: float) -> bool:
-    """Whether a ray to this ground point, or its shadow, may meet an object."""
-    rows, cols = near.shape
+@inline_kernel
+def in_cells(marked: NDArray[np.uint8], size: float, x: float, y: float) -> bool:
+    """Whether a ground point lies in a marked cell of the search grid."""
+    rows, cols = marked.shape
     c, r = math.floor(x / size), math.floor(-y / size)
-    return bool(0 <= c < cols and 0 <= r < rows and near[r, c] == 1)
+    return bool(0 <= c < cols and 0 <= r < rows and marked[r, c] == 1)
 
 
 @kernel
@@ -316,7 +316,7 @@ def object_before(
     return s, surface
 
 
-@kernel
+@inline_kernel
 def start_of_ray(curve: Array, top: float) -> float:
     """Distance at which a descending ray comes down to the highest point of the world, or 0."""
     if curve[2, 0] <= top or curve[2, 1] >= 0.0:
@@ -339,7 +339,7 @@ def first_hits(
 ) -> None:
     """First surfaces of rays of the tangent frame: fills map points (n, 3), distances and surface numbers."""
     heights, step, highest, steepest = terrain
-    buildings, trees, tallest, size, first, items, tops, _ = objects
+    buildings, trees, tallest, size, first, items, tops = objects[:7]
     powers, curve = np.empty((3, 5)), np.empty((3, 5))
     shifted = np.empty((exponents.shape[0], 3))
     for i in range(origins.shape[0]):
