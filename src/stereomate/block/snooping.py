@@ -31,6 +31,9 @@ Mask = NDArray[np.bool_]
 # In one pass go those over this part of the largest standardized residual.
 _PART: Final = 0.4
 _PASSES: Final = 60
+# Redundancy number from which control, positions and attitudes are tested: below it an error would have to be
+# 40 standard deviations to be seen, and what is taken out is what holds the block.
+_CONTROLLED: Final = 0.01
 _MEDIAN_OF_NORMAL: Final = 0.6744897501960817
 
 Kind = Literal["image", "control", "positions", "attitudes"]
@@ -174,6 +177,8 @@ class _Search:
             if part is None or not len(part.standardized):
                 continue
             size = np.nan_to_num(np.abs(part.standardized) * ratio)
+            # The block hardly controls these; it would be bent by small errors of others without them.
+            size[part.redundancy < _CONTROLLED] = 0.0
             axis = size.argmax(axis=1)
             keys: list[_Key] = [(kind, row, int(axis[row])) for row in range(len(size))]
             result += [(key, float(size[key[1:]])) for key in keys if key not in self.needed]
