@@ -25,11 +25,12 @@ from written_surface import write_surface_file
 from stereomate.errors import FormatError, InputError
 from stereomate.frames.transform import map_from_map, tangent_from_map
 from stereomate.raster import open_photo
+from stereomate.raster.pyramid import open_pyramid
 from stereomate.stereo.product import StereoProduct
 from stereomate.stereo.surface_bands import ABOVE, BANDS, JUMP, SIGMA
 from stereomate.viewer.binary import decode_floats, encode_floats
-from stereomate.viewer.imagery import Stretch, stretch_of
-from stereomate.viewer.kept import KeptFiles
+from stereomate.viewer.imagery import Stretch, TileReader, stretch_of
+from stereomate.viewer.kept import Kept
 from stereomate.viewer.lattice import measuring_lattice
 from stereomate.viewer.objects import object_heights
 from stereomate.viewer.page_files import joined_modules
@@ -182,7 +183,7 @@ def test_files_are_made_once_for_all_who_ask():
             raise KeyError(name)
         return name.encode() * 10
 
-    kept = KeptFiles(capacity=800)
+    kept = Kept(len, capacity=800)
     with concurrent.futures.ThreadPoolExecutor(20) as pool:
         answers = [pool.submit(kept.get, "a", make) for _ in range(20)]
         gate.set()
@@ -282,6 +283,29 @@ def test_tiles_are_the_pixels_of_the_raster(product):
     with pytest.raises(KeyError):
         source.read("data/0/ortho/0/0_0.jpg")
     source.close()
+
+
+def test_tiles_have_their_neighbours_around_them(tmp_path):
+    """At both levels, in every corner; what has no neighbour repeats its edge."""
+    import rasterio
+
+    pixels = np.random.default_rng(2).integers(0, 255, (700, 1100, 3), np.uint8)
+    size = {"width": 1100, "height": 700, "count": 3, "dtype": "uint8", "tiled": True}
+    with rasterio.open(tmp_path / "o.tif", "w", driver="GTiff", **size) as file:
+        file.write(np.moveaxis(pixels, -1, 0))
+    with open_pyramid(tmp_path / "o.tif") as image:
+        tiles = TileReader(image, Stretch((0, 1, 2), (0.0,) * 3, (255.0,) * 3))
+        for level in (0, 1):
+            whole, _, _ = image.read(level, 0, 0, *image.size(level))
+            padded = np.pad(whole, ((1, 1), (1, 1), (0, 0)), mode="edge")
+            rows, cols = whole.shape[:2]
+            for row in range(-(-rows // 512)):
+                for col in range(-(-cols // 512)):
+                    place = padded[512 * row : 512 * row + 514, 512 * col : 512 * col + 514]
+                    np.testing.assert_array_equal(tiles.read(level, col, row), place)
+        for place in ((0, 3, 0), (0, 0, 2), (0, -1, 0)):
+            with pytest.raises(KeyError):
+                tiles.read(*place)
 
 
 def test_jpeg_keeps_all_colours(site):

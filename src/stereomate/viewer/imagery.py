@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.raster.pyramid import PyramidReader, open_pyramid
+from stereomate.viewer.kept import Kept
 
 TileFormat = Literal["jpg", "png"]
 
@@ -21,6 +22,8 @@ APRON: Final = 1
 # Parts of the pixels of the orthophoto that the stretch lets go black and white.
 _TAILS: Final = (0.5, 99.5)
 _SAMPLE_PX: Final = 1024
+# Where the pixels of a neighbour lie in a tile: before it, beside it, behind it.
+_OUTER: Final = {-1: slice(0, APRON), 0: slice(APRON, -APRON), 1: slice(-APRON, None)}
 
 
 @dataclass(frozen=True)
@@ -69,30 +72,67 @@ def stretch_of(path: Path) -> Stretch:
     return Stretch(bands, tuple(low.tolist()), tuple(high.tolist()))
 
 
-def read_tile(image: PyramidReader, stretch: Stretch, level: int, col: int, row: int) -> NDArray[np.uint8]:
-    """A tile with its apron, (rows + 2, cols + 2, bands); at the edge of the image its pixels are repeated.
+class TileReader:
+    """Tiles of one raster, with their aprons, made of blocks that were read lately.
 
-    What is not valid is black.
-
-    Raises
-    ------
-    KeyError
-        If there is no such tile.
+    A tile needs a pixel of each of its eight neighbours, which a file keeps in nine blocks: read one by one
+    and kept for a while, each is decoded once for all around it. Safe to use from any number of threads.
     """
-    cols, rows = image.size(level)
-    col0, row0 = col * TILE, row * TILE
-    if not (0 <= col0 < cols and 0 <= row0 < rows):
-        raise KeyError((level, col, row))
-    pixels, valid, window = image.read(level, col0 - APRON, row0 - APRON, TILE + 2 * APRON, TILE + 2 * APRON)
-    shown = stretch.apply(pixels)
-    if not valid.all():
-        shown[~valid] = 0
-    before = (window.row0 - (row0 - APRON), window.col0 - (col0 - APRON))
-    wanted = (min(TILE, rows - row0) + 2 * APRON, min(TILE, cols - col0) + 2 * APRON)
-    after = tuple(wanted[k] - before[k] - shown.shape[k] for k in range(2))
-    if any(before) or any(after):
-        shown = np.pad(shown, ((before[0], after[0]), (before[1], after[1]), (0, 0)), mode="edge")
-    return shown
+
+    def __init__(self, image: PyramidReader, stretch: Stretch) -> None:
+        self.image, self._stretch = image, stretch
+        self._blocks: Kept[tuple[int, int, int], NDArray[np.uint8]] = Kept(lambda block: block.nbytes)
+
+    def read(self, level: int, col: int, row: int) -> NDArray[np.uint8]:
+        """A tile with its apron, (rows + 2, cols + 2, bands); where the image ends its pixels are repeated.
+
+        What is not valid is black.
+
+        Raises
+        ------
+        KeyError
+            If there is no such tile.
+        """
+        if not self._exists(level, col, row):
+            raise KeyError((level, col, row))
+        middle = self._block(level, col, row)
+        rows, cols, bands = middle.shape
+        tile = np.empty((rows + 2 * APRON, cols + 2 * APRON, bands), np.uint8)
+        tile[APRON:-APRON, APRON:-APRON] = middle
+        for down in (-1, 0, 1):
+            for right in (-1, 0, 1):
+                if down or right:
+                    # where there is no neighbour the tile's own edge stands in for it
+                    across = right if self._exists(level, col + right, row) else 0
+                    along = down if self._exists(level, col, row + down) else 0
+                    near = self._block(level, col + across, row + along)
+                    tile[_OUTER[down], _OUTER[right]] = near[
+                        _inner(down, along, rows), _inner(right, across, cols)
+                    ]
+        return tile
+
+    def _exists(self, level: int, col: int, row: int) -> bool:
+        cols, rows = self.image.size(level)
+        return 0 <= col * TILE < cols and 0 <= row * TILE < rows
+
+    def _block(self, level: int, col: int, row: int) -> NDArray[np.uint8]:
+        return self._blocks.get((level, col, row), self._made)
+
+    def _made(self, place: tuple[int, int, int]) -> NDArray[np.uint8]:
+        level, col, row = place
+        pixels, valid, _ = self.image.read(level, col * TILE, row * TILE, TILE, TILE)
+        shown = self._stretch.apply(pixels)
+        if not valid.all():
+            shown[~valid] = 0
+        return shown
+
+
+def _inner(side: int, towards: int, size: int) -> slice:
+    """Pixels of the block `towards` a side (0: the tile's own) that a tile of `size` shows at that side."""
+    if side == 0:
+        return slice(0, size)
+    # the end of the block before, the beginning of the one behind; of the tile's own the edge itself
+    return slice(-APRON, None) if (side < 0) == (towards != 0) else slice(0, APRON)
 
 
 def encode_image(pixels: NDArray[np.uint8], kind: TileFormat, quality: int) -> bytes:

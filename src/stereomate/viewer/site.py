@@ -20,8 +20,8 @@ from stereomate.forms import PAGE
 from stereomate.raster.pyramid import PyramidReader, open_pyramid
 from stereomate.stereo.product import StereoProduct
 from stereomate.viewer import binary, layers
-from stereomate.viewer.imagery import TILE, Stretch, TileFormat, encode_image, read_tile, stretch_of
-from stereomate.viewer.kept import KeptFiles
+from stereomate.viewer.imagery import TILE, Stretch, TileFormat, TileReader, encode_image, stretch_of
+from stereomate.viewer.kept import Kept
 from stereomate.viewer.lattice import MeasuringLattice, measuring_lattice
 from stereomate.viewer.objects import object_heights, surface_of
 from stereomate.viewer.page_files import page_names, read_page
@@ -112,6 +112,14 @@ class ProductSource:
     @cached_property
     def _stretch(self) -> Stretch:
         return stretch_of(self._paths["ortho"])
+
+    @cached_property
+    def _tiles(self) -> dict[str, TileReader]:
+        return {
+            eye: TileReader(self._images[eye], self._stretch)
+            for eye in ("ortho", "mate")
+            if eye in self._images
+        }
 
     @cached_property
     def _lattice(self) -> MeasuringLattice:
@@ -241,9 +249,8 @@ class ProductSource:
         if image is None or suffix != self.options.format or place[0] >= image.levels(TILE):
             raise KeyError((eye, *place))
         with self._lock:
-            stretch = self._stretch
-        pixels = read_tile(image, stretch, *place)
-        return encode_image(pixels, self.options.format, self.options.quality)
+            tiles = self._tiles[eye]
+        return encode_image(tiles.read(*place), self.options.format, self.options.quality)
 
     def _lineage_tile(self, col: int, row: int) -> bytes:
         """Numbers of the photographs of orthophoto and stereomate, tile after tile."""
@@ -278,6 +285,7 @@ class ProductSource:
     def close(self) -> None:
         """Close the rasters."""
         with self._lock:
+            self.__dict__.pop("_tiles", None)
             for image in self.__dict__.pop("_images", {}).values():
                 image.close()
 
@@ -346,7 +354,7 @@ class KeptSite:
     """A site whose files are kept for a while once they are made: what a server gives to many clients."""
 
     def __init__(self, site: Site) -> None:
-        self._site, self._kept = site, KeptFiles()
+        self._site, self._kept = site, Kept[str, bytes](len)
 
     def read(self, name: str) -> bytes:
         """As `Site.read`."""
