@@ -21,7 +21,6 @@ from stereomate.rectify.ground import Ground, ground_of, heights_of, mate_positi
 from stereomate.rectify.job import RectifyJob
 from stereomate.rectify.kernels.seams import balance as balance_pixels
 from stereomate.rectify.kernels.seams import lift, mix
-from stereomate.rectify.kernels.serve import LEFT_SEES, RIGHT_SEES
 from stereomate.rectify.kernels.warp import clear_invalid, warp
 from stereomate.rectify.layout import StereoModel
 from stereomate.rectify.radiometry import TABLE_NODES, Balance
@@ -102,8 +101,7 @@ def _render(job: RectifyJob, ground: Ground, pixels: Pixels, side: Side, name: s
         _resample_photograph(job, ground, pixels, nodes[p], p, NO_PHOTOGRAPH, out, valid)
         np.multiply(valid != 0, np.uint16(p + 1), out=photograph)
     else:
-        assert isinstance(serving.sees, np.ndarray)
-        wanted = _photograph_of_pixels(models, serving.model, serving.sees, side, job.options.hidden)
+        wanted = serving.photographs(models, 0 if side == "left" else 1, job.options.hidden)
         for p in np.unique(wanted[wanted > 0]):
             _composite(
                 job, ground, pixels, nodes[int(p) - 1], int(p) - 1, wanted, Part(out, valid, photograph)
@@ -123,18 +121,6 @@ def _render(job: RectifyJob, ground: Ground, pixels: Pixels, side: Side, name: s
 
 def _photograph(model: StereoModel, side: Side) -> int:
     return model.left if side == "left" else model.right
-
-
-def _photograph_of_pixels(
-    models: list[StereoModel], model: NDArray[np.int16], sees: NDArray[np.uint8], side: Side, hidden: str
-) -> NDArray[np.uint16]:
-    """Photograph (from 1) of every pixel; 0 where there is none or the ground is hidden from it."""
-    table = np.array([_photograph(m, side) + 1 for m in models] + [0], np.uint16)
-    wanted = table[model]
-    if hidden != "keep":
-        bit = LEFT_SEES if side == "left" else RIGHT_SEES
-        wanted[(sees & bit) == 0] = 0
-    return np.ascontiguousarray(wanted)
 
 
 def _composite(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from stereomate.coverage.survey import Photograph
 from stereomate.frames.mapframe import MapFrame
 from stereomate.frames.tangent import TangentFrame
+from stereomate.frames.transform import map_from_tangent
 from stereomate.parallax.laws import ParallaxLaw
 from stereomate.rectify.grid import ProductGrid
 from stereomate.rectify.layout import StereoModel
@@ -67,3 +69,8 @@ class RectifyJob:
     def centres_tangent(self) -> NDArray[np.float64]:
         """Projection centres in the tangent frame, shape (photographs, 3)."""
         return np.array([p.orientation.centre for p in self.photographs])
+
+    @cached_property
+    def centres_map(self) -> NDArray[np.float64]:
+        """Projection centres in the map, shape (photographs, 3)."""
+        return map_from_tangent(self.tangent, self.frame, self.centres_tangent)

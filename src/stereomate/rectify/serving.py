@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,9 @@ from stereomate.camera.model import Camera
 from stereomate.raster import Window
 from stereomate.rectify.ground import Ground, height_patch
 from stereomate.rectify.job import RectifyJob
-from stereomate.rectify.kernels.serve import BOTH_SEE, serve
+from stereomate.rectify.kernels.serve import BOTH_SEE, LEFT_SEES, RIGHT_SEES, serve
 from stereomate.rectify.layout import StereoModel
+from stereomate.rectify.options import Hidden
 from stereomate.rectify.scratch import scratch
 from stereomate.terrain.kernels.rays import sight_bounds, steepest_slope
 
@@ -26,6 +27,7 @@ Floats32 = NDArray[np.float32]
 HIDDEN_TOLERANCE_M = 0.02
 
 NO_PREFERENCE = np.empty((0, 0), np.int16)
+NOT_FILLED = np.empty((2, 0, 0), np.int16)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,10 +41,35 @@ class Pixels:
 
 @dataclass(frozen=True, eq=False)
 class Serving:
-    """Which model serves each pixel and which of its photographs see the ground; or one model for all."""
+    """Which model serves each pixel and which of its photographs see the ground; or one model for all.
+
+    Attributes
+    ----------
+    filled : (2, rows, cols) or (2, 0, 0) int16
+        Photographs that show left and right eye ground which no model shows to both; -1 where the model's
+        own do, -2 where there is none. Empty: nowhere.
+    """
 
     model: NDArray[np.int16] | int
     sees: NDArray[np.uint8] | int
+    filled: NDArray[np.int16] = field(default_factory=lambda: NOT_FILLED)
+
+    def photographs(self, models: list[StereoModel], side: int, hidden: Hidden) -> NDArray[np.uint16]:
+        """Photograph (from 1) that each pixel shows an eye; 0 where none sees the ground.
+
+        Parameters
+        ----------
+        side : int
+            0 for the left eye, 1 for the right one.
+        """
+        table = np.array([(m.left, m.right)[side] + 1 for m in models] + [0], np.uint16)
+        shown = np.asarray(table[self.model])
+        if hidden != "keep":
+            shown = np.where(np.asarray(self.sees) & (LEFT_SEES, RIGHT_SEES)[side], shown, np.uint16(0))
+        if self.filled.size:
+            there = self.filled[side] != -1
+            shown[there] = np.maximum(self.filled[side][there] + 1, 0)
+        return np.ascontiguousarray(shown)
 
 
 def camera_nodes(job: RectifyJob, ground: Ground) -> Floats:
@@ -171,6 +198,7 @@ def serve_pixels(
     window = pixels.window
     model = scratch("model", (window.rows, window.cols), np.int16)
     sees = scratch("sees", (window.rows, window.cols), np.uint8)
+    filled, along, least_base = _filling(job, window, bool(hidden.any()))
     cameras = [p.camera.kernel_parameters() for p in job.photographs]
     serve(
         pixels.columns,
@@ -192,12 +220,26 @@ def serve_pixels(
         np.where(hidden, np.cumsum(hidden) - 1, -1),
         HIDDEN_TOLERANCE_M,
         centres,
-        job.options.hidden == "fill",
+        along,
+        least_base,
         preferred,
         model,
         sees,
+        filled,
     )
-    return Serving(model, sees)
+    return Serving(model, sees, filled)
+
+
+def _filling(job: RectifyJob, window: Window, some_hidden: bool) -> tuple[NDArray[np.int16], Floats, float]:
+    """Where photographs that fill eyes go, positions of centres along the rows, the base they need."""
+    if job.options.hidden != "fill" or not some_hidden:
+        return NOT_FILLED, np.zeros(len(job.photographs)), 0.0
+    filled = scratch("filled", (2, window.rows, window.cols), np.int16)
+    filled.fill(-1)
+    along = job.grid.uv_from_map(job.centres_map[:, :2])[:, 0]
+    # two photographs that fill both eyes want no shorter base than some model has
+    bases = [m.base_u_m for m in job.models if m.right >= 0]
+    return filled, np.ascontiguousarray(along), min(bases, default=0.0) / job.frame.unit_m
 
 
 def _scores(job: RectifyJob, models: list[StereoModel], nodes: Floats) -> Floats:

@@ -13,7 +13,6 @@ from stereomate.errors import FormatError
 from stereomate.raster import Window, open_photo
 from stereomate.rectify.ground import ground_of, heights_of, mate_positions, shown_ground
 from stereomate.rectify.job import RectifyJob
-from stereomate.rectify.kernels.serve import LEFT_SEES, RIGHT_SEES
 from stereomate.rectify.serving import Pixels, camera_nodes, models_of_window, serve_pixels
 
 Floats = NDArray[np.float64]
@@ -83,11 +82,8 @@ class LineageRule:
         if not models:
             return nothing
         serving = serve_pixels(job, ground, Pixels(window, columns, heights), models, nodes)
-        number = np.array([(m.left, m.right)[side] + 1 for m in models] + [0], np.int64)
-        shown = np.where(np.isfinite(heights), number[np.broadcast_to(serving.model, shape)], 0)
-        if job.options.hidden != "keep":
-            shown[(np.broadcast_to(serving.sees, shape) & (LEFT_SEES, RIGHT_SEES)[side]) == 0] = 0
-        return shown
+        shown = np.broadcast_to(serving.photographs(models, side, job.options.hidden), shape)
+        return np.where(np.isfinite(heights), shown, 0).astype(np.int64)
 
 
 def lineage_of(job: RectifyJob, path: Path | None) -> Lineage:

@@ -14,6 +14,7 @@ from stereomate.terrain.kernels.sampling import bilinear
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
+Ints = NDArray[np.int64]
 
 # Side of the blocks of pixels for which one model is decided on at once, where it is plain.
 BLOCK = 16
@@ -28,23 +29,36 @@ RIGHT_SEES = 2
 BOTH_SEE = 3
 
 
+# Ground of one pixel: lattice column, height, and column, row and height in the patch.
+Place = tuple[float, float, float, float, float]
+
+
 @inline_kernel
-def _in_photograph(lines: Floats, p: int, x: float, h: float, code: int, parameters: Floats) -> bool:
-    px, py, pz = camera_point(lines[p], x, h)
-    _, _, inside = image_from_camera_point(code, parameters, px, py, pz)
+def _in_photograph(lines: Floats, p: int, place: Place, codes: Ints, parameters: Floats) -> bool:
+    px, py, pz = camera_point(lines[p], place[0], place[1])
+    _, _, inside = image_from_camera_point(codes[p], parameters[p], px, py, pz)
     return inside
 
 
 @inline_kernel
-def _hidden(
-    patch: Floats, bounds: Floats, tolerance: float, col: float, row: float, h: float, centre: Floats
+def _is_hidden(
+    p: int,
+    place: Place,
+    patch: Floats,
+    bounds: Floats,
+    bounds_of_photo: Ints,
+    centres: Floats,
+    tolerance: float,
 ) -> bool:
+    k = bounds_of_photo[p]
+    if k < 0:
+        return False
     # Bicubic heights may lie below the bilinear surface that blocks: the way starts on the upper one.
-    start = bilinear(patch, col, row)
-    if start > h:
-        h = start
+    h = max(place[4], bilinear(patch, place[2], place[3]))
     # The ray is straight in the height model's grid to d²/2R: 7 mm over 300 m.
-    return occluded_bounded(patch, bounds, col, row, h, centre[0], centre[1], centre[2], tolerance)
+    return occluded_bounded(
+        patch, bounds[k], place[2], place[3], h, centres[p, 0], centres[p, 1], centres[p, 2], tolerance
+    )
 
 
 @inline_kernel
@@ -121,6 +135,27 @@ def _plain_winner(
     return winner
 
 
+@inline_kernel
+def _range_of_block(
+    columns: Floats32, heights: Floats32, preferred: NDArray[np.int16], block: tuple[int, int, int, int]
+) -> tuple[float, float, float, float, bool]:
+    """Least and greatest ground column and height of a block of pixels; whether it prefers one model."""
+    r0, r1, c0, c1 = block
+    x0, x1, low, high = np.inf, -np.inf, np.inf, -np.inf
+    has_preferred = preferred.shape[0] > 0
+    same = True
+    for r in range(r0, r1):
+        column = columns[0 if columns.shape[0] == 1 else r]
+        for c in range(c0, c1):
+            h = heights[r, c]
+            if h == h:
+                low, high = min(low, h), max(high, h)
+                x0, x1 = min(x0, column[c]), max(x1, column[c])
+            if has_preferred and preferred[r, c] != preferred[r0, c0]:
+                same = False
+    return x0, x1, low, high, same
+
+
 @kernel
 def decide_blocks(
     columns: Floats32,
@@ -130,13 +165,13 @@ def decide_blocks(
     step: float,
     row0: float,
     score_nodes: Floats,
-    left_of_model: NDArray[np.int64],
-    right_of_model: NDArray[np.int64],
+    left_of_model: Ints,
+    right_of_model: Ints,
     photo_nodes: Floats,
-    camera_codes: NDArray[np.int64],
+    camera_codes: Ints,
     camera_parameters: Floats,
     camera_fields: Floats,
-    bounds_of_photo: NDArray[np.int64],
+    bounds_of_photo: Ints,
     preferred: NDArray[np.int16],
     decided: NDArray[np.int16],
 ) -> None:
@@ -147,7 +182,6 @@ def decide_blocks(
     """
     rows, cols = heights.shape
     node_rows, node_cols = score_nodes.shape[:2]
-    one_row = columns.shape[0] == 1
     excluded = np.empty(score_nodes.shape[2], np.bool_)
     for k in range(decided.shape[0]):
         r0, r1 = k * BLOCK, min((k + 1) * BLOCK, rows)
@@ -155,19 +189,8 @@ def decide_blocks(
         i = min(max(int(y0), 0), node_rows - 2)
         for n in range(decided.shape[1]):
             c0, c1 = n * BLOCK, min((n + 1) * BLOCK, cols)
-            x0, x1, low, high = np.inf, -np.inf, np.inf, -np.inf
-            first, same = -1, True
-            if preferred.shape[0] > 0:
-                first = int(preferred[r0, c0])
-            for r in range(r0, r1):
-                column = columns[0 if one_row else r]
-                for c in range(c0, c1):
-                    h = heights[r, c]
-                    if h == h:
-                        low, high = min(low, h), max(high, h)
-                        x0, x1 = min(x0, column[c]), max(x1, column[c])
-                    if preferred.shape[0] > 0 and preferred[r, c] != first:
-                        same = False
+            x0, x1, low, high, same = _range_of_block(columns, heights, preferred, (r0, r1, c0, c1))
+            first = int(preferred[r0, c0]) if preferred.shape[0] > 0 else -1
             decided[k, n] = -1
             if low > high:
                 continue
@@ -203,6 +226,175 @@ def decide_blocks(
 
 
 @kernel
+def _seeing_photograph(
+    other: int,
+    least: float,
+    most: float,
+    order: Ints,
+    lines: Floats,
+    place: Place,
+    left_of_model: Ints,
+    right_of_model: Ints,
+    codes: Ints,
+    parameters: Floats,
+    patch: Floats,
+    bounds: Floats,
+    bounds_of_photo: Ints,
+    centres: Floats,
+    tolerance: float,
+    along: Floats,
+) -> int:
+    """The first photograph of the models asked that sees the ground, -1 for none; never `other`.
+
+    Its centre lies from `least` to `most` along the rows.
+    """
+    for m in order:
+        for p in (left_of_model[m], right_of_model[m]):
+            if p < 0 or p == other or not least <= along[p] <= most:
+                continue
+            if _in_photograph(lines, p, place, codes, parameters) and not _is_hidden(
+                p, place, patch, bounds, bounds_of_photo, centres, tolerance
+            ):
+                return int(p)
+    return -1
+
+
+@kernel
+def _fill_eyes(
+    model: int,
+    sees: int,
+    order: Ints,
+    lines: Floats,
+    place: Place,
+    left_of_model: Ints,
+    right_of_model: Ints,
+    codes: Ints,
+    parameters: Floats,
+    patch: Floats,
+    bounds: Floats,
+    bounds_of_photo: Ints,
+    centres: Floats,
+    tolerance: float,
+    along: Floats,
+    least_base: float,
+    out: NDArray[np.int16],
+) -> None:
+    """Two photographs that see ground which no model sees with both: for the left and the right eye.
+
+    One of `model` that sees it is kept. Another is found for it: if possible on its own side with a base,
+    else with a base, else any. The one whose centre lies further along the rows is the right one. If a single
+    photograph sees the ground, it is the orthophoto's: never do both eyes see one.
+    """
+    at_left = sees != RIGHT_SEES
+    kept = left_of_model[model] if at_left else right_of_model[model]
+    if sees == 0:
+        kept = _seeing_photograph(
+            -1, -np.inf, np.inf, order, lines, place, left_of_model, right_of_model, codes, parameters,
+            patch, bounds, bounds_of_photo, centres, tolerance, along,
+        )  # fmt: skip
+    found = -1
+    for side in range(3 if kept >= 0 else 0):
+        least, most = -np.inf, np.inf
+        if side < 2 and at_left == (side == 0):
+            least = along[kept] + least_base
+        elif side < 2:
+            most = along[kept] - least_base
+        if found < 0:
+            found = _seeing_photograph(
+                kept, least, most, order, lines, place, left_of_model, right_of_model, codes, parameters,
+                patch, bounds, bounds_of_photo, centres, tolerance, along,
+            )  # fmt: skip
+    if found >= 0 and along[found] < along[kept]:
+        kept, found = found, kept
+    out[0] = kept if kept >= 0 else -2
+    out[1] = found if found >= 0 else -2
+
+
+@kernel
+def _serve_row(
+    column: Floats32,
+    heights: Floats32,
+    decided: NDArray[np.int16],
+    node_col: float,
+    step: float,
+    score_line: Floats,
+    surface_line: Floats,
+    lines: Floats,
+    left_of_model: Ints,
+    right_of_model: Ints,
+    codes: Ints,
+    parameters: Floats,
+    patch: Floats,
+    bounds: Floats,
+    bounds_of_photo: Ints,
+    centres: Floats,
+    tolerance: float,
+    along: Floats,
+    least_base: float,
+    preferred: NDArray[np.int16],
+    out_model: NDArray[np.int16],
+    out_sees: NDArray[np.uint8],
+    out_filled: NDArray[np.int16],
+) -> None:
+    """`serve` along a row. One function a row: passing arrays for every pixel would take as long again."""
+    last_cell = score_line.shape[0] - 2
+    models = score_line.shape[1]
+    score = np.empty(models)
+    order = np.empty(models, np.int64)
+    fill = out_filled.shape[1] > 0
+    for c in range(column.shape[0]):
+        h = heights[c]
+        plain = decided[c // BLOCK] if h == h else -1
+        if plain != UNDECIDED:
+            out_model[c] = plain
+            out_sees[c] = BOTH_SEE if plain >= 0 else 0
+            continue
+        out_model[c], out_sees[c] = -1, 0
+        x = (column[c] - node_col) / step
+        i = min(max(int(x), 0), last_cell)
+        f = x - i
+        for m in range(models):
+            score[m] = score_line[i, m] + f * (score_line[i + 1, m] - score_line[i, m])
+        if preferred.shape[0] > 0 and preferred[c] >= 0:
+            score[preferred[c]] = -1.0
+        dem_col = surface_line[i, 0] + f * (surface_line[i + 1, 0] - surface_line[i, 0])
+        dem_row = surface_line[i, 1] + f * (surface_line[i + 1, 1] - surface_line[i, 1])
+        offset = surface_line[i, 2] + f * (surface_line[i + 1, 2] - surface_line[i, 2])
+        place = (x, h, dem_col, dem_row, h - offset)
+        sees, single, asked = 0, True, 0
+        while asked < models:
+            m = int(np.argmin(score))
+            if score[m] == np.inf:
+                break
+            score[m] = np.inf
+            order[asked] = m
+            asked += 1
+            left, right = left_of_model[m], right_of_model[m]
+            # a single photograph takes no ground from a model: it may fill one of its eyes
+            if not single and right < 0:
+                continue
+            if not _in_photograph(lines, left, place, codes, parameters):
+                continue
+            if right >= 0 and not _in_photograph(lines, right, place, codes, parameters):
+                continue
+            sees = BOTH_SEE
+            if _is_hidden(left, place, patch, bounds, bounds_of_photo, centres, tolerance):
+                sees -= LEFT_SEES
+            if right >= 0 and _is_hidden(right, place, patch, bounds, bounds_of_photo, centres, tolerance):
+                sees -= RIGHT_SEES
+            if out_model[c] < 0 or sees == BOTH_SEE:
+                out_model[c], out_sees[c], single = m, sees, right < 0
+            if sees == BOTH_SEE or not fill:
+                break
+        if fill and not single and sees != BOTH_SEE:
+            _fill_eyes(
+                out_model[c], out_sees[c], order[:asked], lines, place, left_of_model, right_of_model,
+                codes, parameters, patch, bounds, bounds_of_photo, centres, tolerance, along, least_base,
+                out_filled[:, c],
+            )  # fmt: skip
+
+
+@kernel
 def serve(
     columns: Floats32,
     heights: Floats32,
@@ -211,28 +403,31 @@ def serve(
     step: float,
     row0: float,
     score_nodes: Floats,
-    left_of_model: NDArray[np.int64],
-    right_of_model: NDArray[np.int64],
+    left_of_model: Ints,
+    right_of_model: Ints,
     photo_nodes: Floats,
-    camera_codes: NDArray[np.int64],
+    camera_codes: Ints,
     camera_parameters: Floats,
     camera_fields: Floats,
     surface_nodes: Floats,
     patch: Floats,
     bounds: Floats,
-    bounds_of_photo: NDArray[np.int64],
+    bounds_of_photo: Ints,
     tolerance: float,
     centres: Floats,
-    fill: bool,
+    along: Floats,
+    least_base: float,
     preferred: NDArray[np.int16],
     out_model: NDArray[np.int16],
     out_sees: NDArray[np.uint8],
+    out_filled: NDArray[np.int16],
 ) -> None:
     """Choose for every ground position the model with the lowest score among those that can serve it.
 
-    A model can serve where the ground lies inside both its photographs. With `fill`, a model in which
-    the ground is hidden gives way to the next one in which it is not; if there is none the first one stays.
-    A model without a right photograph (index -1) serves where its left one does.
+    A model can serve where the ground lies inside both its photographs. A model without a right photograph
+    (index -1) serves where its left one does. Where hidden ground is to be filled, a model in which
+    the ground is hidden gives way to the next one in which it is not; if there is none the first one stays,
+    and each eye takes another photograph that sees the ground.
 
     Parameters
     ----------
@@ -250,12 +445,19 @@ def serve(
         How far (metres) the surface may rise above the ray before it hides the ground.
     centres : (photographs, 3)
         Projection centres in patch coordinates: column, row, height in the height model's system.
+    along : (photographs,)
+        Positions of the centres along the rows of the product, for filling.
+    least_base : float
+        Of two photographs that fill both eyes, if there are such.
     preferred : (rows, cols) or (0, 0)
         Index of the model that comes before all others at a pixel, -1 for none. Empty: nowhere.
     out_model : (rows, cols)
         Index of the model, -1 where none can serve.
     out_sees : (rows, cols)
-        LEFT_SEES, RIGHT_SEES or both: which photographs see the ground.
+        LEFT_SEES, RIGHT_SEES or both: which photographs of the model see the ground.
+    out_filled : (2, rows, cols) or (2, 0, 0)
+        Photographs that show left and right eye the ground in place of those of the model, -1 where these do;
+        -2 where neither can. Empty: hidden ground is not filled.
     """
     rows, cols = heights.shape
     node_cols = score_nodes.shape[1]
@@ -264,9 +466,7 @@ def serve(
     score_line = np.empty((node_cols, models))
     surface_line = np.empty((node_cols, 3))
     photo_lines = np.empty((photographs, node_cols, 6))
-    score = np.empty(models)
-    one_row = columns.shape[0] == 1
-    has_preferred = preferred.shape[0] > 0
+    nothing = np.empty((2, 1, 0), np.int16)
     decided = np.empty((-(-rows // BLOCK), -(-cols // BLOCK)), np.int16)
     decide_blocks(
         columns, heights, node_col, node_row, step, row0, score_nodes, left_of_model, right_of_model,
@@ -278,50 +478,10 @@ def serve(
         lattice_row(surface_nodes, y, surface_line)
         for p in range(photographs):
             lattice_row(photo_nodes[p], y, photo_lines[p])
-        column = columns[0 if one_row else r]
-        for c in range(cols):
-            out_model[r, c] = -1
-            out_sees[r, c] = 0
-            h = heights[r, c]
-            if h != h:
-                continue
-            plain = decided[r // BLOCK, c // BLOCK]
-            if plain != UNDECIDED:
-                out_model[r, c] = plain
-                out_sees[r, c] = BOTH_SEE if plain >= 0 else 0
-                continue
-            x = (column[c] - node_col) / step
-            i = min(max(int(x), 0), node_cols - 2)
-            f = x - i
-            for m in range(models):
-                score[m] = score_line[i, m] + f * (score_line[i + 1, m] - score_line[i, m])
-            if has_preferred and preferred[r, c] >= 0:
-                score[preferred[r, c]] = -1.0
-            dem_col = surface_line[i, 0] + f * (surface_line[i + 1, 0] - surface_line[i, 0])
-            dem_row = surface_line[i, 1] + f * (surface_line[i + 1, 1] - surface_line[i, 1])
-            dem_h = h - surface_line[i, 2] - f * (surface_line[i + 1, 2] - surface_line[i, 2])
-            for _ in range(models):
-                m = int(np.argmin(score))
-                if score[m] == np.inf:
-                    break
-                score[m] = np.inf
-                left = left_of_model[m]
-                right = right_of_model[m]
-                if not _in_photograph(photo_lines, left, x, h, camera_codes[left], camera_parameters[left]):
-                    continue
-                if right >= 0 and not _in_photograph(
-                    photo_lines, right, x, h, camera_codes[right], camera_parameters[right]
-                ):
-                    continue
-                sees = BOTH_SEE
-                b = bounds_of_photo[left]
-                if b >= 0 and _hidden(patch, bounds[b], tolerance, dem_col, dem_row, dem_h, centres[left]):
-                    sees -= LEFT_SEES
-                b = bounds_of_photo[right] if right >= 0 else -1
-                if b >= 0 and _hidden(patch, bounds[b], tolerance, dem_col, dem_row, dem_h, centres[right]):
-                    sees -= RIGHT_SEES
-                if out_model[r, c] < 0 or sees == BOTH_SEE:
-                    out_model[r, c] = m
-                    out_sees[r, c] = sees
-                if sees == BOTH_SEE or not fill:
-                    break
+        _serve_row(
+            columns[0 if columns.shape[0] == 1 else r], heights[r], decided[r // BLOCK], node_col, step,
+            score_line, surface_line, photo_lines, left_of_model, right_of_model, camera_codes,
+            camera_parameters, patch, bounds, bounds_of_photo, centres, tolerance, along, least_base,
+            preferred[r] if preferred.shape[0] > 0 else nothing[0, 0],
+            out_model[r], out_sees[r], out_filled[:, r] if out_filled.shape[1] > 0 else nothing[:, 0],
+        )  # fmt: skip
