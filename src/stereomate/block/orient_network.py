@@ -72,6 +72,8 @@ class BlockData:
         NaN for unknown.
     attitude_sigma : (float, float, float) or None
         Radians; None: not observed.
+    tie_names : tuple of str or None
+        Of the tie points, by their numbers; None: t0, t1, ...
     """
 
     names: tuple[str, ...]
@@ -86,6 +88,7 @@ class BlockData:
     position_sigma_m: tuple[float, float, float]
     attitudes: Array
     attitude_sigma: tuple[float, float, float] | None
+    tie_names: tuple[str, ...] | None = None
 
     def camera(self, photo: int) -> Camera:
         """Camera of a photograph."""
@@ -145,7 +148,8 @@ def assemble(
     rows = rows[count[ties.point[rows]] >= 2]
     tie_numbers, tie_index = np.unique(ties.point[rows], return_inverse=True)
     xyz = [points[tie_numbers]]
-    names = [f"t{number}" for number in tie_numbers.tolist()]
+    own = data.tie_names
+    names = [f"t{number}" if own is None else own[number] for number in tie_numbers.tolist()]
     photo, point = [place[ties.photo[rows]]], [tie_index.astype(np.int64)]
     pixels, sigma = [ties.pixels[rows]], [ties.sigma_px[rows]]
     controls = np.empty(0, dtype=np.int64)

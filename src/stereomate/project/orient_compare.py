@@ -10,7 +10,7 @@ import numpy as np
 
 from stereomate.block.adjustment import BlockAdjustment
 from stereomate.block.in_grid import GridComparison, Method, compare_in_grid
-from stereomate.block.network import Network
+from stereomate.block.network import BlockCamera, Network
 from stereomate.block.systematic import find_systematic_shift
 from stereomate.block.variance import components_of
 from stereomate.errors import NotDeterminedError, StereomateError
@@ -46,9 +46,8 @@ def comparisons(inputs: OrientInputs, adjusted: Adjusted) -> dict[str, Any]:
         return found
     level = MapFrame(frame.crs, HeightSystem.ellipsoidal())
     # What the tests took out is put back: a shift of all positions is what makes single control points wrong.
-    shift = _shift(
-        replace(result, network=_with_given(result.network, adjusted.result.network)), tangent, level
-    )
+    # A principal distance that is found too takes a shift of the heights into itself: it is held meanwhile.
+    shift = _shift(_with_given(result, adjusted.result.network), tangent, level)
     if shift is not None:
         found["positions_shift"] = shift
     found["in_grid"] = _in_grid(result, tangent, level)
@@ -88,9 +87,14 @@ def without_gross_errors(result: BlockAdjustment) -> BlockAdjustment:
     )
 
 
-def _with_given(network: Network, given: Network) -> Network:
-    """A network with control and positions as they were given."""
-    return replace(network, control=given.control, positions=given.positions)
+def _with_given(result: BlockAdjustment, given: Network) -> BlockAdjustment:
+    """With control and positions as they were given, and principal distances held as they were found."""
+    cameras = tuple(
+        BlockCamera(camera, {name: sigma for name, sigma in entry.free.items() if name != _C})
+        for camera, entry in zip(result.cameras, result.network.cameras, strict=True)
+    )
+    network = replace(result.network, cameras=cameras, control=given.control, positions=given.positions)
+    return replace(result, network=network)
 
 
 def _shift(result: BlockAdjustment, tangent: TangentFrame, frame: MapFrame) -> dict[str, Any] | None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from stereomate.block.models import JoiningOptions, PairPose
 from stereomate.block.photos import BlockPhoto
 from stereomate.block.refine import OrientedPoints, measure_again
-from stereomate.block.start import KnownPoints, KnownPositions, find_start
+from stereomate.block.start import KnownPositions, find_start
 from stereomate.block.start_pairs import Approximation, PairSelection
 from stereomate.block.tie_points import (
     PairResult,
@@ -32,7 +32,7 @@ from stereomate.measurement.database import CameraRow, ImageRow, MeasurementData
 from stereomate.measurement.features import FeatureOptions
 from stereomate.measurement.tracks import ThinningOptions, TiePoints
 from stereomate.project.inputs import PhotoProblem
-from stereomate.project.orient_control import Control
+from stereomate.project.orient_control import known_points, outside_findings
 from stereomate.project.orient_inputs import OrientInputs
 from stereomate.project.orient_stated import (
     LEAST_POINTS,
@@ -95,6 +95,8 @@ class Measured:
         Photographs that turned out unreadable.
     findings : tuple of str
         What a reader must know of the measurements.
+    tie_names : tuple of str or None
+        Of stated tie points, as their file has them.
     """
 
     photos: tuple[BlockPhoto, ...]
@@ -107,6 +109,7 @@ class Measured:
     counts: dict[str, Any]
     problems: tuple[PhotoProblem, ...]
     findings: tuple[str, ...] = ()
+    tie_names: tuple[str, ...] | None = None
 
 
 def measure_block(
@@ -145,6 +148,9 @@ def measure_block(
             counts = {**counts, "refined": measured}
         else:
             ties = ties.select(start.used).with_rays(2)
+    findings = tied.findings
+    if inputs.control is not None:
+        findings += tuple(outside_findings(inputs.control, photos))
     return Measured(
         photos,
         tied.pairs,
@@ -155,7 +161,8 @@ def measure_block(
         start.not_joined,
         counts,
         tied.problems,
-        tied.findings,
+        findings,
+        tied.names,
     )
 
 
@@ -170,6 +177,7 @@ class _Tied:
     how: str
     problems: tuple[PhotoProblem, ...] = ()
     findings: tuple[str, ...] = ()
+    names: tuple[str, ...] | None = None
 
 
 def _found(
@@ -193,10 +201,10 @@ def _found(
 
 def _stated(given: ImageMeasurements, photos: Sequence[BlockPhoto], progress: ProgressSink) -> _Tied:
     """From a file: no pixel is looked at."""
-    ties, counts = stated_tie_points(given, photos)
+    ties, names, counts = stated_tie_points(given, photos)
     poses, pairs = pairs_of_tie_points(ties, photos, _named(progress, "pairs"))
     how = f"photographs that share tie points of {given.path.name}"
-    return _Tied(ties, counts, pairs, poses, how, (), tuple(stated_findings(counts)))
+    return _Tied(ties, counts, pairs, poses, how, (), tuple(stated_findings(counts)), names)
 
 
 def tie_point_options(inputs: OrientInputs) -> TiePointOptions:
@@ -373,42 +381,3 @@ def _united(parts: Sequence[PartStart], count: int, points: Array) -> OrientedPo
         centres[list(part.photos)] = part.centres
         rotations[list(part.photos)] = part.rotations
     return OrientedPoints(centres, rotations, points)
-
-
-def known_points(control: Control, photos: Sequence[BlockPhoto]) -> KnownPoints | None:
-    """Control points that are not check points, for the start; None where none is measured."""
-    measured = control_measurements(control, photos)
-    if measured is None:
-        return None
-    point, photo, pixels, _ = measured
-    keep = ~control.check[point]
-    return KnownPoints(
-        control.names, control.tangent_xyz, control.sigma_m, point[keep], photo[keep], pixels[keep]
-    )
-
-
-def control_measurements(
-    control: Control, photos: Sequence[BlockPhoto]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array] | None:
-    """Point, photograph, pixels and standard deviation of the measurements of control points."""
-    given = control.measurements
-    if given is None:
-        return None
-    index = {Path(photo.name).stem: k for k, photo in enumerate(photos)}
-    index |= {photo.name: k for k, photo in enumerate(photos)}
-    names = {name: k for k, name in enumerate(control.names)}
-    rows = [
-        (names[point], k, row)
-        for row, (point, name) in enumerate(zip(given.points, given.photographs, strict=True))
-        if point in names and (k := index.get(name, index.get(Path(name).stem))) is not None
-    ]
-    if not rows:
-        return None
-    table = np.array(sorted(rows), dtype=np.int64)
-    sigma = given.sigma_px[table[:, 2]]
-    return (
-        table[:, 0].copy(),
-        table[:, 1].copy(),
-        given.pixels[table[:, 2]],
-        np.where(np.isfinite(sigma), sigma, control.measurement_sigma_px),
-    )

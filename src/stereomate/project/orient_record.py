@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 _OPK: Final = AttitudeConvention("opk", "local", "deg")
 # A photograph whose angles contradict its stated ones by more than this is named.
 _TURNED: Final = math.radians(20.0)
+# Part of the positions that single gross errors do not reach.
+_MANY: Final = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +103,7 @@ def adjustment_record(
             *adjusted.findings,
             *expected_finding(expected),
             *findings_of(comparison),
+            *_lost_positions(adjusted),
         ],
         "measurement": {
             "pairs": len(measured.pairs),
@@ -123,6 +126,7 @@ def adjustment_record(
                 "place": error.place,
                 "size": [_number(v) for v in error.size],
                 "standardized": _number(error.standardized),
+                "in_doubt": error.in_doubt,
             }
             for error in result.gross_errors
         ],
@@ -156,6 +160,17 @@ def _height_findings(inputs: OrientInputs, adjusted: Adjusted) -> list[str]:
     if np.isfinite(heights).any():
         text += f" (they are {np.nanmin(heights):.1f} to {np.nanmax(heights):.1f} m)"
     return [text]
+
+
+def _lost_positions(adjusted: Adjusted) -> list[str]:
+    """Many positions taken out are no single errors."""
+    observed = adjusted.result.network.positions
+    lost = sorted({e.place for e in adjusted.result.gross_errors if e.kind == "positions"})
+    if observed is None or len(lost) <= max(3.0, _MANY * len(observed.photo)):
+        return []
+    text = f"{len(lost)} of {len(observed.photo)} positions contradict the rest and were taken out: "
+    text += "a strip with a shift of its own, or a parameter of the camera that takes it in? "
+    return [text + ", ".join(lost[:8])]
 
 
 def _turned(inputs: OrientInputs, adjusted: Adjusted) -> list[str]:

@@ -137,8 +137,8 @@ class _Choice:
 
 def stated_tie_points(
     given: ImageMeasurements, photos: Sequence[BlockPhoto]
-) -> tuple[TiePoints, dict[str, Any]]:
-    """Tie points of a file; those outside their photograph are left out and counted.
+) -> tuple[TiePoints, tuple[str, ...], dict[str, Any]]:
+    """Tie points of a file with their names; those outside their photograph are left out and counted.
 
     Raises
     ------
@@ -172,13 +172,16 @@ def stated_tie_points(
         np.full(int(inside.sum()), -1, dtype=np.int64),
     )
     alone = int(np.count_nonzero(np.bincount(ties.point) == 1)) if len(ties) else 0
-    ties = ties.with_rays(2).numbered()
+    ties = ties.with_rays(2)
+    by_number = list(names)
+    kept = tuple(by_number[k] for k in np.unique(ties.point).tolist())
+    ties = ties.numbered()
     counts: dict[str, Any] = {"tie_points": ties.count, "tie_observations": len(ties)}
     outside = [f"{given.points[row]} in {given.photographs[row]}" for row in table[~inside, 2].tolist()]
     counts |= {"from": given.path.name, "seen_once": alone, "outside": len(outside)}
     if outside:
         counts["outside_first"] = outside[:_NAMED]
-    return ties, counts
+    return ties, kept, counts
 
 
 def stated_findings(counts: Mapping[str, Any]) -> list[str]:
