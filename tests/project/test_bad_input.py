@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 
 import stereomate.errors as errors
 from stereomate.cli import main
@@ -67,8 +68,11 @@ def test_newer_form_names_both(small):
 
 
 def test_missing_photograph(small):
-    small.replace("project.toml", '"photo_*.tif"', '["photo_1.tif", "photo_3.tif"]')
-    fails(small, errors.ProjectError, "photo_3.tif", "is missing")
+    small.replace("project.toml", '"photo_*.tif"', '["photo_1.tif", "photo_2.tif"]')
+    (small.folder / "photo_2.tif").unlink()
+    left_out(small, errors.ImageError, "photo_2.tif", "no such file")
+    (small.folder / "photo_1.tif").unlink()
+    fails(small, errors.ProjectError, "photo_1.tif", "is missing")
 
 
 def test_pattern_without_photographs(small):
@@ -80,6 +84,18 @@ def test_truncated_photograph(small):
     path = small.folder / "photo_2.tif"
     path.write_bytes(path.read_bytes()[:3000])
     left_out(small, errors.ImageError, "photo_2.tif")
+
+
+def test_photograph_that_is_nodata_everywhere(small):
+    """Of one that has a single valid pixel something can be made."""
+    pixels = np.zeros((40, 60, 3), np.uint8)
+    path = small.folder / "photo_2.tif"
+    tags = [(42113, "s", 1, "0", True)]  # GDAL's nodata
+    tifffile.imwrite(path, pixels, photometric="rgb", extratags=tags)
+    left_out(small, errors.ImageError, "photo_2.tif", "is nodata everywhere")
+    pixels[3, 5] = 1
+    tifffile.imwrite(path, pixels, photometric="rgb", extratags=tags)
+    assert load(small.path).problems == ()
 
 
 def test_photograph_that_is_none(small):

@@ -15,12 +15,16 @@ _END_OF_JPEG: Final = b"\xff\xd9"
 _START_OF_SCAN: Final = b"\xff\xda"
 # Cameras append thumbnails or padding after the end marker; it is looked for in this tail.
 _TAIL: Final = 1 << 20
+# Rows read at once where valid pixels are looked for.
+_STRIP_ROWS: Final = 256
 
 
 def photo_files(
     patterns: str | Sequence[str], exclude: Iterable[str], folder: Path, project: Path
 ) -> tuple[Path, ...]:
     """Files of the photographs, sorted by name.
+
+    A file that is named and missing is among them: as one that cannot be read, it does not stop the others.
 
     Parameters
     ----------
@@ -36,7 +40,7 @@ def photo_files(
     Raises
     ------
     ProjectError
-        If a pattern matches nothing, or two files have one name.
+        If a pattern matches nothing, no file is there, or two files have one name.
     """
     if not patterns:
         raise ProjectError("must be given", file=project, field="photos.files")
@@ -44,10 +48,13 @@ def photo_files(
     found: dict[Path, None] = {}
     for pattern in [patterns] if isinstance(patterns, str) else patterns:
         matches = sorted(_matches(pattern, folder))
-        if not matches:
-            rule = "matches no file" if _is_pattern(pattern) else "is missing"
-            raise ProjectError(rule, file=project, field="photos.files", value=str(folder / pattern))
-        found.update(dict.fromkeys(matches))
+        if not matches and _is_pattern(pattern):
+            rule, value = "matches no file", str(folder / pattern)
+            raise ProjectError(rule, file=project, field="photos.files", value=value)
+        found.update(dict.fromkeys(matches or [folder / pattern]))
+    if not any(path.is_file() for path in found):
+        missing = str(next(iter(found)))
+        raise ProjectError("is missing", file=project, field="photos.files", value=missing)
     files = sorted(
         (path for path in found if not any(is_excluded(path, name) for name in left_out)),
         key=lambda path: (path.name, str(path)),
@@ -109,16 +116,27 @@ def match_names(
 
 
 def read_photo_info(path: Path) -> RasterInfo:
-    """Facts of a photograph; the file must be complete.
+    """Facts of a photograph; the file must be complete and show something.
 
     Raises
     ------
     ImageError
-        If it is missing, no image, or cut off.
+        If it is missing, no image, cut off, or nodata everywhere.
     """
     with open_photo(path) as reader:
         _require_complete(reader)
+        _require_pixels(reader)
         return reader.info
+
+
+def _require_pixels(reader: PhotoReader) -> None:
+    """One valid pixel is enough: as a rule the first window from the middle has it."""
+    if reader.nodata is None and not reader.info.has_mask:
+        return
+    columns, rows = reader.size
+    starts = sorted(range(0, rows, _STRIP_ROWS), key=lambda row: abs(row + _STRIP_ROWS / 2 - rows / 2))
+    if not any(reader.read_mask(0, row, columns, _STRIP_ROWS)[0].any() for row in starts):
+        raise ImageError("is nodata everywhere", file=reader.path)
 
 
 def _require_complete(reader: PhotoReader) -> None:
