@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -43,11 +45,17 @@ def photographs_across(
     served = serving.model.copy()
     mixed = (partner >= 0) & (table[owner] == served)
     wanted = np.where(mixed, table[partner], np.int16(-1)).astype(np.int16)
-    # The kernel answers with the model that is asked first wherever it can serve.
-    asked = serve_pixels(job, ground, pixels, models, nodes, wanted)
+    mixed &= wanted >= 0
+    if not mixed.any():
+        return None
+    # The kernel answers with the model that is asked first wherever it can serve; elsewhere nothing is asked.
+    heights = scratch("seam heights", shape, pixels.heights.dtype)
+    np.copyto(heights, pixels.heights)
+    heights[~mixed] = np.nan
+    asked = serve_pixels(job, ground, replace(pixels, heights=heights), models, nodes, wanted)
     assert isinstance(asked.sees, np.ndarray)
     bit = LEFT_SEES if left else RIGHT_SEES
-    mixed &= (wanted >= 0) & (asked.model == wanted) & ((asked.sees & bit) != 0)
+    mixed &= (asked.model == wanted) & ((asked.sees & bit) != 0)
     number = np.array([(m.left if left else m.right) + 1 for m in models] + [0], np.uint16)
     across = np.where(mixed, number[wanted], 0).astype(np.uint16)
     across[across == number[served]] = 0

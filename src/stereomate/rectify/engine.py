@@ -19,9 +19,10 @@ from stereomate.raster import PhotoReader, Window
 from stereomate.rectify.blend import photographs_across
 from stereomate.rectify.ground import Ground, ground_of, heights_of, mate_positions, shown_ground
 from stereomate.rectify.job import RectifyJob
+from stereomate.rectify.kernels.seam_levels import lift
 from stereomate.rectify.kernels.seams import balance as balance_pixels
-from stereomate.rectify.kernels.seams import lift, mix
-from stereomate.rectify.kernels.warp import clear_invalid, warp
+from stereomate.rectify.kernels.seams import mix
+from stereomate.rectify.kernels.warp import clear_invalid, take_valid, warp
 from stereomate.rectify.layout import StereoModel
 from stereomate.rectify.radiometry import TABLE_NODES, Balance
 from stereomate.rectify.readers import reader_of
@@ -134,10 +135,7 @@ def _composite(
 ) -> None:
     """Resample one of several photographs and copy the pixels it serves."""
     box, values, valid = _one_photograph(job, ground, pixels, nodes, p, wanted)
-    there = valid != 0
-    part.pixels[box][there] = values[there]
-    part.valid[box][there] = 255
-    part.photograph[box][there] = p + 1
+    take_valid(values, valid, p + 1, part.pixels[box], part.valid[box], part.photograph[box])
 
 
 def _mix(

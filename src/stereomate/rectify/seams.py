@@ -16,7 +16,8 @@ import shapely
 from numpy.typing import NDArray
 
 from stereomate.raster import Window
-from stereomate.rectify.kernels.seams import feather_pixels, label_pixels, level_pixels
+from stereomate.rectify.kernels.seam_levels import level_pixels
+from stereomate.rectify.kernels.seams import feather_pixels, label_pixels
 from stereomate.rectify.scratch import scratch
 
 Floats = NDArray[np.float64]
