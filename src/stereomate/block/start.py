@@ -22,10 +22,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class KnownPositions:
-    """Projection centres in the tangent frame, shape (n, 3), NaN for unknown; sigma east, north, up."""
+    """Projection centres in the tangent frame, shape (n, 3), NaN for unknown; sigma east, north, up.
+
+    `rotations` are stated ones, shape (n, 3, 3), NaN for unknown: they help where centres leave a tilt open.
+    """
 
     centres: Array
     sigma_m: tuple[float, float, float]
+    rotations: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -189,7 +193,8 @@ def _placed(
                 np.broadcast_to(np.array(positions.sigma_m), (int(np.count_nonzero(known)), 3)),
             )
         )
-    datum = find_datum(model.rotations[joined], tuple(s for s in sources if len(s.names)))
+    stated = None if positions is None or positions.rotations is None else positions.rotations[joined]
+    datum = find_datum(model.rotations[joined], tuple(s for s in sources if len(s.names)), stated)
     model.moved(datum.transform)
     used = np.zeros(count, dtype=np.bool_)
     used[rows] = model.used & joined[images.photo] & np.isfinite(model.points[images.point, 0])

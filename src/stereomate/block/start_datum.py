@@ -2,7 +2,7 @@
 
 Three places in space that are not on a line determine the seven parameters of a similarity; gross errors
 among more are weighted down. What determines less (a single strip, control in plan only) is helped by the
-photographs' own vertical: their mean axis is taken as the plumb line, and the result says so.
+angles that the photographs state, or else by their mean axis, taken as the plumb line; the result says so.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from stereomate.errors import NotDeterminedError
 from stereomate.geometry.adjustment import AdjustmentOptions
-from stereomate.geometry.rotations import rotation_z
+from stereomate.geometry.rotations import rotation_angle, rotation_z
 from stereomate.geometry.similarity import SpaceTransform, estimate_space_transform
 
 Array = NDArray[np.float64]
@@ -25,6 +25,8 @@ Mask = NDArray[np.bool_]
 _ROBUST: Final = AdjustmentOptions(loss="huber", max_iterations=50)
 # Places within this part of their extent of a line say too little about turns around it.
 _ON_A_LINE: Final = 0.05
+# Stated angles that turn the model alike are within this of each other, and more than half of them are.
+_ALIKE: Final = math.radians(15.0)
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,7 @@ class Datum:
     notes: tuple[str, ...] = ()
 
 
-def find_datum(rotations: Array, sources: tuple[Places, ...]) -> Datum:
+def find_datum(rotations: Array, sources: tuple[Places, ...], stated: Array | None = None) -> Datum:
     """The transform from a model to the tangent frame.
 
     Parameters
@@ -87,6 +89,8 @@ def find_datum(rotations: Array, sources: tuple[Places, ...]) -> Datum:
         Object from camera of the photographs of the model, in its frame.
     sources : tuple of Places
         In the order of preference; the first that determines a datum is used.
+    stated : ndarray, shape (n, 3, 3), optional
+        Rotations of the same photographs in the tangent frame as they are stated beforehand; NaN for unknown.
 
     Returns
     -------
@@ -100,7 +104,7 @@ def find_datum(rotations: Array, sources: tuple[Places, ...]) -> Datum:
     for places in sources:
         plan = np.asarray(np.isfinite(places.target[:, :2]).all(axis=1))
         if np.count_nonzero(plan) >= 2 and np.isfinite(places.target[:, 2]).any():
-            return _by_plumb_line(places, plan, rotations)
+            return _by_vertical(places, plan, rotations, stated)
     level = SpaceTransform.from_arrays(_levelling(rotations), np.zeros(3))
     return Datum(
         level,
@@ -130,11 +134,30 @@ def _by_similarity(places: Places) -> Datum:
     return Datum(found.transform, places.kind, residuals, names)
 
 
-def _by_plumb_line(places: Places, plan: Mask, rotations: Array) -> Datum:
-    """Levelled by the mean axis, then turned, scaled and moved in plan, then lifted."""
-    level = _levelling(rotations)
-    points = places.model @ level.T
-    here, there = points[plan, :2], places.target[plan, :2]
+def _by_vertical(places: Places, plan: Mask, rotations: Array, stated: Array | None) -> Datum:
+    """Levelled by stated angles or the mean axis, then turned, scaled and moved in plan, then lifted."""
+    note = f"the {places.kind} lie on a line or lack heights: they leave a tilt open, and "
+    levels = [] if stated is None else _by_stated_angles(rotations, stated)
+    if not levels:
+        turn, scale = _in_plan(places, plan, _levelling(rotations))
+        note += "the mean axis of the photographs was taken as the plumb line to start with"
+    else:
+        # Of pixels stored as stated or turned by half a turn, what leaves less to turn in plan.
+        fits = [(_in_plan(places, plan, level), level) for level in levels]
+        (turn, scale), _ = min(fits, key=lambda fit: float(rotation_angle(fit[0][0] @ fit[1].T)))
+        note += "the angles that the photographs state were taken to start with"
+    there = places.target[plan, :2]
+    moved = scale * (places.model @ turn.T)
+    shift = np.array([*(there.mean(axis=0) - moved[plan, :2].mean(axis=0)), 0.0])
+    known = np.isfinite(places.target[:, 2])
+    shift[2] = float(np.median(places.target[known, 2] - moved[known, 2]))
+    transform = SpaceTransform.from_arrays(turn, shift, scale)
+    return Datum(transform, places.kind, places.target - transform.apply(places.model), (), (note,))
+
+
+def _in_plan(places: Places, plan: Mask, level: Array) -> tuple[Array, float]:
+    """Rotation and scale of a levelled model by its places in plan."""
+    here, there = (places.model @ level.T)[plan, :2], places.target[plan, :2]
     a, b = here - here.mean(axis=0), there - there.mean(axis=0)
     square = float(np.sum(a * a))
     if not square > 0.0:
@@ -144,17 +167,27 @@ def _by_plumb_line(places: Places, plan: Mask, rotations: Array) -> Datum:
     scale = math.hypot(cosine, sine)
     if not scale > 0.0:
         raise NotDeterminedError(f"datum: the {places.kind} do not correspond to the model")
-    turn = rotation_z(math.atan2(sine, cosine)) @ level
-    moved = scale * (places.model @ turn.T)
-    shift = np.array([*(there.mean(axis=0) - moved[plan, :2].mean(axis=0)), 0.0])
-    known = np.isfinite(places.target[:, 2])
-    shift[2] = float(np.median(places.target[known, 2] - moved[known, 2]))
-    transform = SpaceTransform.from_arrays(turn, shift, scale)
-    note = (
-        f"the {places.kind} lie on a line or lack heights: they leave a tilt open, and the mean axis of the "
-        "photographs was taken as the plumb line to start with"
-    )
-    return Datum(transform, places.kind, places.target - transform.apply(places.model), (), (note,))
+    return rotation_z(math.atan2(sine, cosine)) @ level, scale
+
+
+def _by_stated_angles(rotations: Array, stated: Array) -> list[Array]:
+    """Rotations to the tangent frame by stated angles, and by these with the pixels turned by half a turn.
+
+    What more than half of the photographs agree on; nothing where they do not.
+    """
+    known = np.isfinite(stated).all(axis=(1, 2))
+    if not known.any():
+        return []
+    found = []
+    for half_turn in (np.eye(3), np.diag([-1.0, -1.0, 1.0])):
+        each = stated[known] @ half_turn @ np.swapaxes(rotations[known], 1, 2)
+        apart = rotation_angle(each[:, None] @ np.swapaxes(each, 1, 2)[None])
+        alike = apart < _ALIKE
+        best = int(alike.sum(axis=1).argmax())
+        if 2 * int(alike[best].sum()) > len(each):
+            u, _, v = np.linalg.svd(each[alike[best]].sum(axis=0))
+            found.append(np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v))
+    return found
 
 
 def _levelling(rotations: Array) -> Array:

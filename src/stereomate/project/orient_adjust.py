@@ -17,6 +17,7 @@ from stereomate.block.start import KnownPoints
 from stereomate.camera.model import Camera
 from stereomate.errors import NotDeterminedError
 from stereomate.project.orient_control import control_measurements
+from stereomate.project.orient_heights import height_findings
 from stereomate.project.orient_inputs import OrientInputs
 from stereomate.project.orient_measure import Measured
 from stereomate.project.orient_photos import shared_pixels
@@ -91,7 +92,7 @@ def adjust_measured(
     """
     screened = screen(inputs, measured)
     inputs, measured = screened.inputs, screened.measured
-    findings = [*measured.findings, *screened.findings]
+    findings = [*measured.findings, *screened.findings, *height_findings(inputs, measured)]
     at, left_out = _taking_part(inputs, measured, findings)
     options = BlockOptions(
         robust="snooping",

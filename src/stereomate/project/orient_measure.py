@@ -305,7 +305,8 @@ def _start(
     cameras = [photo.camera for photo in photos]
     ties, poses = tied.ties, tied.poses
     options = None if inputs.tie_points is None else JoiningOptions(least_points=LEAST_POINTS)
-    positions = KnownPositions(inputs.positions.tangent, inputs.positions.sigma_m)
+    stated = inputs.positions
+    positions = KnownPositions(stated.tangent, stated.sigma_m, stated.attitudes)
     has_positions = bool(np.isfinite(inputs.positions.tangent).any())
     control = known_points(inputs.control, photos) if inputs.control is not None else None
     key = run_key(
@@ -313,6 +314,7 @@ def _start(
         cameras=[repr(camera) for camera in cameras],
         poses=[[p.first, p.second, p.base.tolist(), p.first_from_second.tolist()] for p in poses],
         positions=np.nan_to_num(inputs.positions.tangent, nan=-1e9).tolist(),
+        angles=np.nan_to_num(inputs.positions.attitudes, nan=-1e9).tolist(),
         control=None if control is None else [control.pixels.tolist(), repr(control.xyz.tolist())],
     )
     done = database.done("start").get("")
