@@ -80,3 +80,52 @@ def unseen(network):
     keep = ~np.isin(image.point, control.point)
     fewer = type(image)(image.photo[keep], image.point[keep], image.xy[keep], image.sigma[keep])
     return replace(network, image=fewer)
+
+
+def _one_strip(**more):
+    """Points of three rays of one strip: along it they control each other in one number only."""
+    block = make_block(columns=1, rows=5, per_photo=60, gnss=0.05, seed=8, **more)
+    rays = np.bincount(block.network.image.point)
+    return block, np.flatnonzero(rays == 3)
+
+
+def test_a_ray_that_no_test_can_place_takes_its_whole_point_out():
+    """An error of 60 px along the base of three rays: any of them may be it, and none is believed."""
+    block, points = _one_strip()
+    image = block.network.image
+    rows = np.flatnonzero(image.point == points[0])
+    xy = image.xy.copy()
+    xy[rows[0], 0] += 60.0
+    network = replace(block.network, image=replace(image, xy=xy))
+    result = adjust_block(network, replace(SNOOPING, scale_by="prior"))
+    assert not result.used[rows].any()
+    assert np.isnan(result.points[points[0]]).all()
+    doubted = [g.row for g in result.gross_errors if g.in_doubt]
+    assert len(doubted) >= 2
+    assert set(doubted) <= set(rows.tolist())
+    (note,) = [note for note in result.notes if "no test can place" in note]
+    assert network.points.names[points[0]] in note
+    # Across the base it can be placed: that ray goes and nothing else.
+    xy = image.xy.copy()
+    xy[rows[0], 1] += 60.0
+    result = adjust_block(replace(network, image=replace(image, xy=xy)), replace(SNOOPING, scale_by="prior"))
+    assert np.flatnonzero(~result.used[rows]).tolist() == [0]
+    assert not any(g.in_doubt for g in result.gross_errors)
+
+
+def test_a_wrong_height_is_not_laid_at_the_door_of_the_rays():
+    """Huber's start weights the rays down where a height contradicts them; the smallest explanation wins."""
+    block = make_block(columns=4, rows=4, per_photo=60, gnss=0.05, control=12, seed=9)
+    control, image = block.network.control, block.network.image
+    rays = np.bincount(image.point, minlength=len(block.points))[control.point]
+    row = int(np.flatnonzero(rays >= 4)[0])
+    xyz = control.xyz.copy()
+    xyz[row, 2] += 4.0
+    for robust in ("snooping", "l1"):
+        options = BlockOptions(robust=robust, scale_by="prior")
+        result = adjust_block(replace(block.network, control=replace(control, xyz=xyz)), options)
+        (found,) = [g for g in result.gross_errors if g.kind == "control"]
+        assert (found.row, found.in_doubt) == (row, False)
+        assert np.isnan(found.size[:2]).all()
+        assert abs(found.size[2] - 4.0) < 0.3
+        assert result.used[image.point == control.point[row]].all()

@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from stereomate.block.gross_errors import GrossError
 from stereomate.block.loop import Progress, Solution, run_loop
 from stereomate.block.loop import image_residuals as residuals_at
 from stereomate.block.network import BlockCamera, Network
 from stereomate.block.options import BlockOptions
-from stereomate.block.snooping import GrossError, snoop
+from stereomate.block.snooping import snoop
 from stereomate.block.statistics import Statistics, counts, statistics_of
 from stereomate.block.unknowns import camera_from_values
 from stereomate.camera.model import Camera

@@ -141,7 +141,7 @@ def run_loop(
             )
         notes.append(f"datum by inner constraints: open were {', '.join(defect.names())}")
         network = held(network, defect)
-    outside = _outside(network)
+    outside = outside_photographs(network)
     if outside.any():
         used = ~outside if used is None else used & ~outside
         notes.append(_outside_note(network, outside))
@@ -166,7 +166,7 @@ def run_loop(
     )  # fmt: skip
 
 
-def _outside(network: Network) -> Mask:
+def outside_photographs(network: Network) -> Mask:
     """Image observations that lie outside the pixel array of their photograph."""
     sizes = np.array([entry.camera.size_px for entry in network.cameras], dtype=np.float64)
     limit = sizes[network.photographs.camera[network.image.photo]]

@@ -9,20 +9,21 @@ again come back, once. An observation that the block cannot be determined withou
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Final, Literal
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
 from stereomate.block.absolute import least_sum
+from stereomate.block.alternatives import explain
 from stereomate.block.datum import find_defect
+from stereomate.block.gross_errors import GrossError, Key, Kind, errors_of, name_of, predicted_sizes
 from stereomate.block.loop import Progress, Solution, run_loop
-from stereomate.block.navigation import groups_of
 from stereomate.block.network import Network
 from stereomate.block.options import BlockOptions
-from stereomate.block.statistics import Reliability, Statistics, statistics_of
+from stereomate.block.statistics import Reliability, Statistics, detection_limit, statistics_of
 from stereomate.errors import NotDeterminedError
 
 Array = NDArray[np.float64]
@@ -32,38 +33,10 @@ Mask = NDArray[np.bool_]
 _PART: Final = 0.4
 _PASSES: Final = 60
 # Redundancy number from which control, positions and attitudes are tested: below it an error would have to be
-# 40 standard deviations to be seen, and what is taken out is what holds the block.
-_CONTROLLED: Final = 0.01
+# 130 standard deviations to be seen. Up to ten times of it only twice the limit counts: such an observation
+# holds the block, and small errors of others that nobody modelled show in it first.
+_CONTROLLED: Final = 0.001
 _MEDIAN_OF_NORMAL: Final = 0.6744897501960817
-
-Kind = Literal["image", "control", "positions", "attitudes"]
-# Kind, row, axis.
-_Key = tuple[Kind, int, int]
-
-
-@dataclass(frozen=True)
-class GrossError:
-    """A gross error that was found and taken out.
-
-    Attributes
-    ----------
-    kind : {"image", "control", "positions", "attitudes"}
-    row : int
-        In that part of the network.
-    place : str
-        Point and photograph.
-    size : tuple of float
-        Estimated error in each coordinate (observed minus what the others say): pixels, metres or
-        radians; NaN for axes that stayed in.
-    standardized : float
-        The largest, in standard deviations of the estimate.
-    """
-
-    kind: Kind
-    row: int
-    place: str
-    size: tuple[float, ...]
-    standardized: float
 
 
 class _Search:
@@ -73,15 +46,18 @@ class _Search:
         self.network, self.options = network, options
         self.used = np.ones(len(network.image.photo), np.bool_)
         self.back: Mask = np.zeros_like(self.used)
-        self.out: dict[_Key, float] = {}
+        self.out: dict[Key, float] = {}
         self.limit = float(norm.isf(options.tests.alpha / 2.0))
         control = network.control
         self.of_control: Mask = np.isin(network.image.point, () if control is None else control.point)
         # What was out when the block was last determined, and what must not go.
         self.last = self.used.copy(), dict(self.out)
         self.needed_rows: Mask = np.zeros_like(self.used)
-        self.needed: set[_Key] = set()
+        self.needed: set[Key] = set()
         self.one_by_one = False
+        self.keys_back: set[Key] = set()
+        self.explained: set[int] = set()
+        self.in_doubt: set[int] = set()
 
     def reduced(self) -> Network:
         """The network without the axes of control, positions and attitudes that are out."""
@@ -151,7 +127,13 @@ class _Search:
             values = np.abs(statistics.image.standardized)
             scale = max(float(np.nanmedian(values)) / _MEDIAN_OF_NORMAL, 1e-12)
         size = np.nan_to_num(statistics.image.standardized).max(axis=1)
-        self.used &= ~(size > self.limit * np.where(self.of_control, max(scale, 1.0), scale))
+        over = size > self.limit * np.where(self.of_control, max(scale, 1.0), scale)
+        # Two rays of each point stay, the smallest: without them nothing could ever come back.
+        point = self.network.image.point
+        order = np.lexsort((size, point))
+        first = np.searchsorted(point[order], point[order])
+        over[order[np.arange(len(order)) - first < 2]] = False
+        self.used &= ~over
         for key, value in self._other_sizes(statistics, 1.0 / max(scale, 1.0)):
             if value > self.limit:
                 self.out[key] = value
@@ -165,9 +147,9 @@ class _Search:
         scales = np.where(self.of_control, max(scale, 1.0), scale)
         return np.asarray(np.abs(statistics.image.standardized).max(axis=1) * statistics.scale / scales)
 
-    def _other_sizes(self, statistics: Statistics, ratio: float) -> list[tuple[_Key, float]]:
+    def _other_sizes(self, statistics: Statistics, ratio: float) -> list[tuple[Key, float]]:
         """Standardized residuals of all other observations; the largest axis of each row."""
-        result: list[tuple[_Key, float]] = [(("control", -1, -1), 0.0)]
+        result: list[tuple[Key, float]] = [(("control", -1, -1), 0.0)]
         parts: tuple[tuple[Kind, Reliability | None], ...] = (
             ("control", statistics.control),
             ("positions", statistics.positions),
@@ -177,20 +159,70 @@ class _Search:
             if part is None or not len(part.standardized):
                 continue
             size = np.nan_to_num(np.abs(part.standardized) * ratio)
-            # The block hardly controls these; it would be bent by small errors of others without them.
             size[part.redundancy < _CONTROLLED] = 0.0
+            size[(part.redundancy < 10.0 * _CONTROLLED) & (size < 2.0 * self.limit)] = 0.0
             axis = size.argmax(axis=1)
-            keys: list[_Key] = [(kind, row, int(axis[row])) for row in range(len(size))]
+            keys: list[Key] = [(kind, row, int(axis[row])) for row in range(len(size))]
             result += [(key, float(size[key[1:]])) for key in keys if key not in self.needed]
         return result
 
-    def restore(self, statistics: Statistics, scale: float) -> bool:
-        """Bring back image points that agree with what the others say; each once."""
+    def restore(self, solution: Solution, statistics: Statistics, scale: float) -> bool:
+        """Bring back observations that agree with what the others say; each once."""
         size = self._image_sizes(statistics, scale)
         again = ~self.used & ~self.back & (size <= self.limit)
         self.used |= again
         self.back |= again
-        return bool(again.any())
+        keys = [key for key in self.out if key not in self.keys_back]
+        sizes = predicted_sizes(self.network, solution, statistics, keys)
+        agreeing = [key for key, value in sizes.items() if value <= self.limit * max(scale, 1.0)]
+        for key in agreeing:
+            del self.out[key]
+        self.keys_back.update(agreeing)
+        return bool(again.any()) or bool(agreeing)
+
+    def explain(self, solution: Solution, statistics: Statistics, scale: float) -> bool:
+        """Put the smallest explanation of the contradictions in each point in the place of what went.
+
+        Only where what went was no error of chance; each point once. Whether anything changed.
+        """
+        network, control = self.network, self.network.control
+        large = detection_limit(self.options.tests.alpha, self.options.tests.power)
+        size = self._image_sizes(statistics, scale)
+        rows = ~self.used & ~(size <= large)
+        axes = np.zeros((0 if control is None else len(control.point), 3), np.bool_)
+        for (kind, row, axis), value in self.out.items():
+            if kind == "control" and value > large:
+                axes[row, axis] = True
+        points = set(network.image.point[rows].tolist())
+        if control is not None:
+            points.update(control.point[axes.any(axis=1)].tolist())
+        points -= self.explained
+        if not points:
+            return False
+        self.explained |= points
+        mine = np.isin(network.image.point, list(points))
+        own = np.zeros(len(axes), np.bool_) if control is None else np.isin(control.point, list(points))
+        all_axes = np.zeros_like(axes)
+        for kind, row, axis in self.out:
+            if kind == "control":
+                all_axes[row, axis] = own[row]
+        scales = np.where(self.of_control, max(scale, 1.0), scale)
+        found = explain(network, solution, (mine & ~self.used, all_axes), scales, self.options.tests.alpha)
+        before = self.used.copy(), set(self.out)
+        solved = np.isin(network.image.point, found.points)
+        self.used[solved] = ~found.rays[solved]
+        self.back |= found.rays
+        if control is not None:
+            of = np.isin(control.point, found.points)
+            for row, axis in np.argwhere(of[:, None] & (all_axes | found.axes)).tolist():
+                key: Key = ("control", row, axis)
+                if not found.axes[row, axis]:
+                    del self.out[key]
+                else:
+                    self.keys_back.add(key)
+                    self.out.setdefault(key, math.nan)
+        self.in_doubt.update(found.points[found.in_doubt].tolist())
+        return not np.array_equal(self.used, before[0]) or set(self.out) != before[1]
 
     def accept(self) -> None:
         """Keep what is out now."""
@@ -227,11 +259,20 @@ class _Search:
             f"{points[network.image.point[row]]} in {photos[network.image.photo[row]]}"
             for row in np.flatnonzero(self.needed_rows).tolist()
         ]
-        places += [_name(network, kind, row) for kind, row, _ in sorted(self.needed)]
-        if not places:
-            return ()
-        note = f"{len(places)} observations contradict the others and stay in, the block is not determined "
-        return (note + f"without them: {', '.join(places[:5])}",)
+        places += [name_of(network, kind, row) for kind, row, _ in sorted(self.needed)]
+        notes = []
+        if places:
+            note = (
+                f"{len(places)} observations contradict the others and stay in, the block is not determined "
+            )
+            notes.append(note + f"without them: {', '.join(places[:5])}")
+        if self.in_doubt:
+            names = [points[j] for j in sorted(self.in_doubt)[:5]]
+            notes.append(
+                f"{len(self.in_doubt)} points contain a gross error that no test can place: what may be "
+                f"wrong of them is out: {', '.join(names)}"
+            )
+        return tuple(notes)
 
 
 def snoop(
@@ -266,12 +307,13 @@ def snoop(
                 raise
             done = False
         scale = search.scale(statistics)
-        if not search.remove(statistics, scale) and not search.restore(statistics, scale) and done:
+        changed = search.remove(statistics, scale) or search.restore(solution, statistics, scale)
+        if done and not changed and not search.explain(solution, statistics, scale):
             break
     else:
         search.take_back()
     solution = replace(solution, notes=(*solution.notes, *search.notes()))
-    return solution, _errors(search, solution, statistics)
+    return solution, errors_of(search.network, solution, statistics, search.used, search.out, search.in_doubt)
 
 
 def _adjusted(search: _Search, solution: Solution, progress: Progress | None) -> tuple[Solution, Statistics]:
@@ -289,42 +331,3 @@ def _adjusted(search: _Search, solution: Solution, progress: Progress | None) ->
     if solution.converged and not found.converged and search.changed:
         raise NotDeterminedError("too little is left for the adjustment to converge")
     return found, statistics_of(found, options)
-
-
-def _errors(search: _Search, solution: Solution, statistics: Statistics) -> tuple[GrossError, ...]:
-    network, image = search.network, statistics.image
-    points, photos = network.points.names, network.photographs.names
-    found = []
-    for row in np.flatnonzero(~search.used).tolist():
-        place = f"{points[network.image.point[row]]} in {photos[network.image.photo[row]]}"
-        dx, dy = image.residuals[row].tolist()
-        found.append(GrossError("image", row, place, (dx, dy), float(np.abs(image.standardized[row]).max())))
-    rows: dict[tuple[Kind, int], list[int]] = {}
-    for kind, row, axis in search.out:
-        rows.setdefault((kind, row), []).append(axis)
-    for (kind, row), axes in rows.items():
-        size = [math.nan] * 3
-        residual = _residual_of(search.network, solution, kind, row)
-        for axis in axes:
-            size[axis] = float(residual[axis])
-        strength = max(search.out[kind, row, axis] for axis in axes)
-        found.append(GrossError(kind, row, _name(network, kind, row), tuple(size), strength))
-    return tuple(sorted(found, key=lambda g: (-np.nan_to_num(g.standardized, nan=0.0), g.kind, g.row)))
-
-
-def _name(network: Network, kind: Kind, row: int) -> str:
-    """Point or photograph of an observation."""
-    names, part = network.photographs.names, getattr(network, kind)
-    if kind == "control":
-        return network.points.names[int(part.point[row])]
-    return names[int(part.photo[row])]
-
-
-def _residual_of(network: Network, solution: Solution, kind: Kind, row: int) -> Array:
-    """Observed minus computed of an observation that may be out."""
-    from_network = solution.prepared.layout, solution.state
-    if kind == "control":
-        assert network.control is not None
-        return np.asarray(network.control.xyz[row] - solution.state.points[network.control.point[row]])
-    group = groups_of(network, *from_network)[kind]
-    return np.asarray(group.residual[row])

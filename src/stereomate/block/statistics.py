@@ -321,16 +321,8 @@ def _image(solution: Solution, computed: Array, width: float, scale: float, limi
 def _group(
     group: Group, photos: Array, by_shared: Array, shared: Array, scale: float, limit: float
 ) -> Reliability:
-    """Of observations of single photographs: diagonal of ``J Q Jᵀ``."""
-    jp, k = group.by_photo, group.photo
-    inner = np.einsum("gia,gab,gib->gi", jp, photos[k], jp)
-    if group.columns.shape[1] and shared.shape[0]:
-        columns = np.where(group.columns >= 0, group.columns, 0)
-        js = group.by_shared * (group.columns >= 0)[:, None, :]
-        cross = np.take_along_axis(by_shared[k], columns[:, None, :], axis=2)
-        inner += 2.0 * np.einsum("gia,gas,gis->gi", jp, cross, js)
-        among = shared[columns[:, :, None], columns[:, None, :]]
-        inner += np.einsum("gis,gst,git->gi", js, among, js)
+    """Of observations of single photographs."""
+    inner = computed_variance(group, photos, by_shared, shared)
     with np.errstate(divide="ignore", invalid="ignore"):
         sigma = np.where(group.weight > 0.0, 1.0 / np.sqrt(group.weight), np.nan)
         redundancy = 1.0 - group.weight * inner
@@ -338,6 +330,20 @@ def _group(
         deviation = sigma * np.sqrt(redundancy)
     residuals = np.where(group.weight > 0.0, group.residual, np.nan)
     return _reliability(residuals, sigma, redundancy, deviation, scale, limit)
+
+
+def computed_variance(group: Group, photos: Array, by_shared: Array, shared: Array) -> Array:
+    """Cofactors (g, 3) of what is computed for observations of single photographs: diagonal of ``J Q Jᵀ``."""
+    jp, k = group.by_photo, group.photo
+    inner: Array = np.einsum("gia,gab,gib->gi", jp, photos[k], jp)
+    if group.columns.shape[1] and shared.shape[0]:
+        columns = np.where(group.columns >= 0, group.columns, 0)
+        js = group.by_shared * (group.columns >= 0)[:, None, :]
+        cross = np.take_along_axis(by_shared[k], columns[:, None, :], axis=2)
+        inner += 2.0 * np.einsum("gia,gas,gis->gi", jp, cross, js)
+        among = shared[columns[:, :, None], columns[:, None, :]]
+        inner += np.einsum("gis,gst,git->gi", js, among, js)
+    return inner
 
 
 def _priors(solution: Solution, shared: Array, scale: float, limit: float) -> Reliability:

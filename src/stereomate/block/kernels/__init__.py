@@ -7,5 +7,6 @@
 - `points`: the points afterwards;
 - `blocks`: parts of a matrix in band or dense form;
 - `system`: observations of single photographs, photographs moved;
-- `covariance`: everything that needs a part of the inverse.
+- `covariance`: everything that needs a part of the inverse;
+- `alternatives`: which observations of a point explain a contradiction.
 """
