@@ -38,6 +38,8 @@ _MEDIA: Final = {
 }
 # Other names of this machine would let a foreign page read the product through the browser.
 _HOSTS: Final = ["localhost", "127.0.0.1", "[::1]"]
+# Requests that are still answered when the server is told to end, seconds.
+_LEAVE_S: Final = 2
 
 
 class Files(Protocol):
@@ -129,7 +131,12 @@ def serve(files: Files, port: int = 0, ready: Callable[[str], None] | None = Non
             raise InputError(f"cannot be used: {error.strerror}", field="port", value=port) from error
         address = f"http://127.0.0.1:{listener.getsockname()[1]}/"
         config = uvicorn.Config(
-            application(files), log_level="error", access_log=False, lifespan="off", server_header=False
+            application(files),
+            log_level="error",
+            access_log=False,
+            lifespan="off",
+            server_header=False,
+            timeout_graceful_shutdown=_LEAVE_S,
         )
         if ready is not None:
             ready(address)
