@@ -74,7 +74,7 @@ def make_product(
     agreement = None
     if job.is_stereo and options.agreement:
         report(f"agreement{_suffix(job)}", 0, 1)
-        agreement = measure_agreement(job)
+        agreement = measure_agreement(job, executor=tiles.Threads(options.threads))
         report(f"agreement{_suffix(job)}", 1, 1)
     hashes = {file: digest for file, (_, digest) in zip(files.values(), assembled, strict=True)}
     statistics = {name: found for name, (found, _) in zip(files, assembled, strict=True)}

@@ -19,7 +19,7 @@ from stereomate.rectify.seamlines import improved_regions
 from stereomate.rectify.seampolygons import Polygons, finished_seams, region_polygons
 from stereomate.rectify.seams import Seams
 from stereomate.rectify.serving_ground import best_models, everywhere, where_shown
-from stereomate.tiles import Executor
+from stereomate.tiles import Executor, Threads
 
 
 @dataclass(frozen=True)
@@ -76,8 +76,11 @@ def plan_mosaics(
     balances = _balances(wanted, overviews)
     if not wanted:
         return [(job, None) for job in jobs]
+    # The overviews are in this process: a cluster would be sent all of them.
+    threads = executor if isinstance(executor, Threads) else None
     return [
-        _mosaic(job, overviews[k], balances[k], (edited or {}).get(job.name)) for k, job in enumerate(wanted)
+        _mosaic(job, overviews[k], balances[k], (edited or {}).get(job.name), threads)
+        for k, job in enumerate(wanted)
     ]
 
 
@@ -86,6 +89,7 @@ def _mosaic(
     overviews: Overviews,
     balanced: tuple[Balance, BalanceSummary] | None,
     polygons: Polygons | None,
+    threads: Threads | None,
 ) -> tuple[RectifyJob, MosaicSummary]:
     if balanced is not None:
         overviews = overviews.balanced(balanced[0])
@@ -94,7 +98,7 @@ def _mosaic(
         best = best_models(overviews, job)
         label = everywhere(best)
         if (label >= 0).all():
-            label = improved_regions(overviews, job.models, label, scale)
+            label = improved_regions(overviews, job.models, label, scale, threads)
             label = where_shown(overviews, job.models, label, best)
             polygons = region_polygons(label, overviews.factor, job.grid.size)
     seams: Seams | None = None

@@ -8,6 +8,7 @@ both models show), so no two of them ever cross.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -20,6 +21,7 @@ from stereomate.rectify.disagreement import disagreement
 from stereomate.rectify.junctions import moved_junctions
 from stereomate.rectify.layout import StereoModel, of_one_kind
 from stereomate.rectify.overviews import Overviews
+from stereomate.tiles import Threads, map_items
 
 Floats32 = NDArray[np.float32]
 Bools = NDArray[np.bool_]
@@ -35,7 +37,11 @@ _AWAY: Final = 0.3
 
 
 def improved_regions(
-    overviews: Overviews, models: tuple[StereoModel, ...], label: Labels, scale: float
+    overviews: Overviews,
+    models: tuple[StereoModel, ...],
+    label: Labels,
+    scale: float,
+    threads: Threads | None = None,
 ) -> Labels:
     """Regions with their seams on least-cost paths.
 
@@ -43,6 +49,8 @@ def improved_regions(
     ----------
     label : (rows, cols)
         A model in every cell.
+    threads : Threads, optional
+        What the lines are found on, each for itself; one thread without.
     """
     if (label == label[0, 0]).all():
         return label
@@ -54,12 +62,8 @@ def improved_regions(
         label = _regions_between(moved_junctions(overviews, models, arcs, zones, reach, scale), label)
         arcs = seam_arcs(label)
         zones, distance = _zones(arcs, label.shape, reach)
-        around = zones, distance, reach
-        moved = [
-            _least_cost(overviews, (models[arc.labels[0]], models[arc.labels[1]]), arc, k, around, scale)
-            for k, arc in enumerate(arcs)
-        ]
-        label = _regions_between(moved, label)
+        line = _Line(overviews, models, (zones, distance, reach), scale)
+        label = _regions_between(map_items(line, list(enumerate(arcs)), threads), label)
     return label
 
 
@@ -74,38 +78,43 @@ def _zones(arcs: list[Arc], shape: tuple[int, int], reach: float) -> tuple[Label
     return np.ascontiguousarray(zones), distance.astype(np.float32)
 
 
-def _least_cost(
-    overviews: Overviews,
-    models: tuple[StereoModel, StereoModel],
-    arc: Arc,
-    number: int,
-    surroundings: tuple[Labels, Floats32, float],
-    scale: float,
-) -> Arc:
-    zones, distance, reach = surroundings
-    ends = arc.vertices[0], arc.vertices[-1]
-    if len(arc.vertices) < 3 or (ends[0] == ends[1]).all() or not of_one_kind(models):
-        return arc
-    rows, cols = overviews.shape
-    pad = int(reach) + 2
-    col0, row0 = np.maximum(arc.vertices.min(axis=0) - pad, 0).tolist()
-    col1, row1 = np.minimum(arc.vertices.max(axis=0) + pad, (cols, rows)).tolist()
-    window = Window(col0, row0, col1 - col0, row1 - row0)
-    both = disagreement(overviews, *models, window, scale)
-    passable = (both.first & both.second) | ~(both.first | both.second)
-    corners = (slice(row0, row1 + 1), slice(col0, col1 + 1))
-    mine = zones[corners] == number
-    own = arc.vertices - [col0, row0]
-    mine[own[:, 1], own[:, 0]] = True
-    away = distance[corners] * np.float32(_AWAY / reach)
-    graph = step_graph(both.cost, passable, mine, [own], away)
-    width = window.cols + 1
-    start, end = (int(v[1] * width + v[0]) for v in (own[0], own[-1]))
-    total, before = cheapest(graph, start)
-    if not np.isfinite(total[end]):
-        return arc
-    way = walk(before, start, end, width)
-    return Arc(way + np.array([col0, row0]), arc.labels)
+@dataclass(frozen=True, eq=False)
+class _Line:
+    """Moves one seam between its ends."""
+
+    overviews: Overviews
+    models: tuple[StereoModel, ...]
+    surroundings: tuple[Labels, Floats32, float]
+    scale: float
+
+    def __call__(self, numbered: tuple[int, Arc]) -> Arc:
+        """The seam of this number on its least-cost path."""
+        number, arc = numbered
+        zones, distance, reach = self.surroundings
+        models = self.models[arc.labels[0]], self.models[arc.labels[1]]
+        ends = arc.vertices[0], arc.vertices[-1]
+        if len(arc.vertices) < 3 or (ends[0] == ends[1]).all() or not of_one_kind(models):
+            return arc
+        rows, cols = self.overviews.shape
+        pad = int(reach) + 2
+        col0, row0 = np.maximum(arc.vertices.min(axis=0) - pad, 0).tolist()
+        col1, row1 = np.minimum(arc.vertices.max(axis=0) + pad, (cols, rows)).tolist()
+        window = Window(col0, row0, col1 - col0, row1 - row0)
+        both = disagreement(self.overviews, *models, window, self.scale)
+        passable = (both.first & both.second) | ~(both.first | both.second)
+        corners = (slice(row0, row1 + 1), slice(col0, col1 + 1))
+        mine = zones[corners] == number
+        own = arc.vertices - [col0, row0]
+        mine[own[:, 1], own[:, 0]] = True
+        away = distance[corners] * np.float32(_AWAY / reach)
+        graph = step_graph(both.cost, passable, mine, [own], away)
+        width = window.cols + 1
+        start, end = (int(v[1] * width + v[0]) for v in (own[0], own[-1]))
+        total, before = cheapest(graph, start)
+        if not np.isfinite(total[end]):
+            return arc
+        way = walk(before, start, end, width)
+        return Arc(way + np.array([col0, row0]), arc.labels)
 
 
 def _regions_between(arcs: list[Arc], label: Labels) -> Labels:

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import cv2
@@ -23,6 +24,7 @@ from stereomate.rectify.engine import Part, orthophoto_part, stereomate_part
 from stereomate.rectify.ground import ground_of, heights_of
 from stereomate.rectify.job import RectifyJob
 from stereomate.rectify.serving import camera_nodes, models_of_window
+from stereomate.tiles import Executor, map_items
 
 Floats = NDArray[np.float64]
 
@@ -181,30 +183,51 @@ def sample_windows(size: tuple[int, int], edge: int) -> list[Window]:
     return [Window(x[c], y[r], x[c + 1] - x[c], y[r + 1] - y[r]) for r, c in order]
 
 
-def measure_agreement(job: RectifyJob, options: AgreementOptions | None = None) -> Agreement:
-    """Match orthophoto against orthophoto and against stereomate in windows of the product."""
+def measure_agreement(
+    job: RectifyJob, options: AgreementOptions | None = None, executor: Executor | None = None
+) -> Agreement:
+    """Match orthophoto against orthophoto and against stereomate in windows of the product.
+
+    Parameters
+    ----------
+    executor : Executor, optional
+        Where the windows are matched; one thread without.
+    """
     options = options or AgreementOptions()
-    plain, stereo = _Matches([], [], []), _Matches([], [], [])
     windows = _sample(job, options)
-    for window in windows:
+    match = _MatchWindow(job, options, options.points // max(len(windows), 1))
+    found = [part for part in map_items(match, windows, executor) if part is not None]
+    plain = _Matches.joined([part[0] for part in found])
+    stereo = _Matches.joined([part[1] for part in found])
+    return Agreement(
+        statistics(plain.residuals, plain.pixels),
+        statistics(stereo.residuals, stereo.pixels),
+        job.grid.map_from_pixel(stereo.pixels),
+        stereo.residuals,
+        stereo.parallaxes,
+    )
+
+
+@dataclass(frozen=True)
+class _MatchWindow:
+    """Matches one window: orthophoto against orthophoto, and against stereomate; None without texture."""
+
+    job: RectifyJob
+    options: AgreementOptions
+    points: int
+
+    def __call__(self, window: Window) -> tuple[_Matches, _Matches] | None:
+        job, options = self.job, self.options
         right = _copy(orthophoto_part(job, window, "right"))
         left = _copy(orthophoto_part(job, window, "left"))
-        texture = _texture_points(left, right, options.points // len(windows), options)
+        texture = _texture_points(left, right, self.points, options)
         if len(texture) == 0:
-            continue
-        plain.add(window, *_matched(left, right, texture, np.zeros(len(texture)), 0, options))
+            return None
+        plain = _matched(left, right, texture, np.zeros(len(texture)), 0, options)
         heights = heights_of(job, ground_of(job, window), "ortho heights")
         q = _parallax_px(job, heights, texture)
-        stereo.add(window, *_match_stereomate(job, window, left, texture, q, options))
-    pixels, residuals, parallaxes = stereo.joined()
-    plain_pixels, plain_residuals, _ = plain.joined()
-    return Agreement(
-        statistics(plain_residuals, plain_pixels),
-        statistics(residuals, pixels),
-        job.grid.map_from_pixel(pixels),
-        residuals,
-        parallaxes,
-    )
+        stereo = _match_stereomate(job, window, left, texture, q, options)
+        return _Matches(*plain).moved(window), _Matches(*stereo).moved(window)
 
 
 def _sample(job: RectifyJob, options: AgreementOptions) -> list[Window]:
@@ -243,25 +266,24 @@ def _shown_by(job: RectifyJob, points: Floats) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class _Matches:
-    """Matches of several windows: product pixels, residual parallaxes, and the law's share."""
+    """Matches: product pixels (n, 2), residual parallaxes (n, 2), and the law's share (n,)."""
 
-    pixels: list[Floats]
-    residuals: list[Floats]
-    parallaxes: list[Floats]
+    pixels: Floats
+    residuals: Floats
+    parallaxes: Floats
 
-    def add(self, window: Window, at: Floats, residuals: Floats, parallaxes: Floats) -> None:
-        """Matches of one window; `at` in its pixels."""
-        self.pixels.append(at + np.array([window.col0, window.row0]))
-        self.residuals.append(residuals)
-        self.parallaxes.append(parallaxes)
+    def moved(self, window: Window) -> _Matches:
+        """The same, whose pixels were counted from a window's corner."""
+        return replace(self, pixels=self.pixels + np.array([window.col0, window.row0]))
 
-    def joined(self) -> tuple[Floats, Floats, Floats]:
-        """All of them."""
+    @staticmethod
+    def joined(parts: Sequence[_Matches]) -> _Matches:
+        """Those of several windows."""
         nothing = np.empty((0, 2))
-        return (
-            np.concatenate([*self.pixels, nothing]),
-            np.concatenate([*self.residuals, nothing]),
-            np.concatenate([*self.parallaxes, nothing[:, 0]]),
+        return _Matches(
+            np.concatenate([*(part.pixels for part in parts), nothing]),
+            np.concatenate([*(part.residuals for part in parts), nothing]),
+            np.concatenate([*(part.parallaxes for part in parts), nothing[:, 0]]),
         )
 
 
