@@ -9,10 +9,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import rasterio
+import scipy.ndimage
 import tifffile
-from run_survey import write_tiny
+from run_survey import make, raster, write_tiny
 
 from stereomate.cli import main
+from stereomate.dense.epipolar import epipolar_pair
 from stereomate.errors import ProjectError
 from stereomate.measurement.fiducial_marks import MarkTemplate, drawn_mark
 from stereomate.project import load
@@ -160,6 +163,52 @@ def test_every_scan_has_the_camera_of_its_own_marks(survey: tuple[Path, Path], f
         scan, inside = other.camera.image_from_camera(rays)
         assert inside.all()
         np.testing.assert_allclose(scan, lying(pixels + MARGIN, *way), atol=0.3)
+
+
+def test_frame_and_marks_are_in_no_product(
+    survey: tuple[Path, Path], found: list[dict], tmp_path: Path
+) -> None:
+    """The orthophoto of the scans ends where that of the digital photographs does, and shows the same."""
+    products = []
+    for name, path in zip(("digital", "film"), survey, strict=True):
+        make(path, tmp_path / name, stereo=False, agreement=False)
+        (ortho,) = (tmp_path / name).glob("ortho*.tif")
+        products.append((ortho, *raster(ortho)))
+    (one, pixels, valid), (other, scanned_pixels, scanned_valid) = products
+    with rasterio.open(one) as a, rasterio.open(other) as b:
+        col, row = (round(v) for v in ~a.transform @ (b.transform.c, b.transform.f))
+    # The frame is 28 % of the picture's width on each side: its ground would reach that much further.
+    whole = np.zeros((scanned_valid.shape[0] + 400, scanned_valid.shape[1] + 400), np.bool_)
+    here = (slice(200 - row, 200 - row + valid.shape[0]), slice(200 - col, 200 - col + valid.shape[1]))
+    whole[here] = valid
+    around = scipy.ndimage.binary_dilation(whole, iterations=2)[200:-200, 200:-200]
+    assert not (scanned_valid & ~around).any()
+    both = scanned_valid & whole[200:-200, 200:-200]
+    assert both.sum() > 0.9 * valid.sum()
+    again = np.zeros((3, *whole.shape), pixels.dtype)
+    again[:, here[0], here[1]] = pixels
+    difference = again[:, 200:-200, 200:-200].astype(float) - scanned_pixels
+    assert np.median(np.abs(difference[:, both])) < 6.0
+
+
+def test_frame_is_not_matched(survey: tuple[Path, Path], found: list[dict]) -> None:
+    """Epipolar images are valid where the scan shows the picture, up to its edge."""
+    film = load(survey[1]).survey
+    first, second = film.photographs[:2]
+    spread = np.linspace(-40.0, 40.0, 9)
+    ground = np.stack(np.meshgrid(spread, spread, [0.0]), axis=-1).reshape(-1, 3)
+    middle = (np.array(first.orientation.centre) + second.orientation.centre) / 2.0
+    pair = epipolar_pair(first, second, ground + middle - (0.0, 0.0, 150.0), 1)
+    assert pair is not None
+    for which, photo in enumerate((pair.left, pair.right)):
+        way = WAYS[film.photographs.index(photo)]
+        upright = np.zeros((SIZE[1] + 2 * MARGIN, SIZE[0] + 2 * MARGIN), np.uint8)
+        upright[MARGIN:-MARGIN, MARGIN:-MARGIN] = 255
+        image, valid = pair.image(which, scanned(upright, *way, seed=0))
+        assert valid.any()
+        # Half of the value on the edge itself, less for marks found to some tenths of a pixel.
+        assert image[valid].min() > 50
+        assert not valid.all()
 
 
 @pytest.mark.slow

@@ -42,6 +42,9 @@ class Camera:
         and mirroring of the stored pixels.
     distortion : Distortion
         Lens distortion about its own point of best symmetry.
+    format_mm : (float, float) or None
+        Of film: width and height of the picture about the origin of the photo system. Beyond lie the frame
+        and its marks: pixels of the array that show no ground.
 
     Raises
     ------
@@ -55,6 +58,7 @@ class Camera:
     principal_point_mm: tuple[float, float]
     pixel_from_photo: Affine2
     distortion: Distortion = field(default_factory=NoDistortion)
+    format_mm: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         if not self.name:
@@ -78,6 +82,9 @@ class Camera:
             raise InputError(
                 "must be invertible", field=where + "pixel_from_photo", value=self.pixel_from_photo
             )
+        size = self.format_mm
+        if size is not None and not (np.shape(size) == (2,) and np.isfinite(size).all() and min(size) > 0.0):
+            raise InputError("must be positive width and height", field=where + "format_mm", value=size)
 
     @classmethod
     def from_pixel_pitch(
@@ -204,6 +211,14 @@ class Camera:
         matrix = np.array(self.pixel_from_photo)
         result: Array = np.asarray(photo_mm, dtype=np.float64) @ matrix[:, :2].T + matrix[:, 2]
         return result
+
+    def in_picture(self, pixels: ArrayLike) -> NDArray[np.bool_]:
+        """Whether pixel positions (..., 2) lie in the picture, not on the frame of the film around it."""
+        pixels = np.asarray(pixels, dtype=np.float64)
+        if self.format_mm is None:
+            return np.ones(pixels.shape[:-1], np.bool_)
+        half = np.array(self.format_mm) / 2.0
+        return np.asarray((np.abs(self.photo_from_image(pixels)) <= half).all(axis=-1))
 
     @property
     def parameter_names(self) -> tuple[str, ...]:

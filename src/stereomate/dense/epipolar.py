@@ -116,7 +116,7 @@ class EpipolarPair:
             image[part] = cv2.remap(
                 grey, place[..., 0], place[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
             )
-            valid[part] = inside
+            valid[part] = inside & camera.in_picture(pixels)
         image[~valid] = 0
         return image, valid
 

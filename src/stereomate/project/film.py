@@ -125,7 +125,13 @@ class Film:
                 field="camera.fiducials.transform",
                 value=self.section.transform,
             ) from error
-        return replace(camera, name=f"{camera.name} [{photo.stem}]", size_px=size_px, pixel_from_photo=affine)
+        return replace(
+            camera,
+            name=f"{camera.name} [{photo.stem}]",
+            size_px=size_px,
+            pixel_from_photo=affine,
+            format_mm=self.section.format_mm,
+        )
 
 
 def film_cameras(file: ProjectFile, path: Path) -> dict[str, Film]:

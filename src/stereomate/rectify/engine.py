@@ -26,7 +26,7 @@ from stereomate.rectify.kernels.warp import clear_invalid, take_valid, warp
 from stereomate.rectify.layout import StereoModel
 from stereomate.rectify.radiometry import TABLE_NODES, Balance
 from stereomate.rectify.readers import reader_of
-from stereomate.rectify.resample import resample
+from stereomate.rectify.resample import clear_frame, resample
 from stereomate.rectify.scratch import scratch
 from stereomate.rectify.serving import Pixels, camera_nodes, in_window, models_of_window, serve_pixels
 
@@ -242,7 +242,9 @@ def _resample_photograph(
         map_y,
         valid,
     )
-    if count == 0:
+    if count == 0 or not clear_frame(
+        photograph.camera, (map_x, map_y), (shift[0], shift[1]), reduction, valid
+    ):
         return
     reader: PhotoReader = reader_of(photograph)
     origin = resample(

@@ -19,7 +19,7 @@ from stereomate.rectify.kernels.warp import warp
 from stereomate.rectify.layout import StereoModel
 from stereomate.rectify.radiometry import Balance
 from stereomate.rectify.readers import reader_of
-from stereomate.rectify.resample import resample
+from stereomate.rectify.resample import clear_frame, resample
 from stereomate.rectify.serving import camera_nodes, models_of_window
 from stereomate.tiles import Executor, map_items
 
@@ -216,7 +216,7 @@ def _overview(
         float(window.row0), code, parameters, float(reduction), float(shift[0]), float(shift[1]),
         map_x, map_y, valid,
     )  # fmt: skip
-    if count == 0:
+    if count == 0 or not clear_frame(photograph.camera, (map_x, map_y), shift, reduction, valid):
         return None
     share = np.stack([map_x, map_y], axis=-1) + (np.asarray(shift, np.float32) + np.float32(0.5))
     share *= np.float32(reduction) / np.asarray(size, np.float32)

@@ -9,9 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from stereomate.camera.model import Camera
 from stereomate.raster import PhotoReader, Window
 from stereomate.rectify.kernels.warp import move
 from stereomate.rectify.options import Resampling
+
+Floats32 = NDArray[np.float32]
 
 _FLAGS: dict[str, int] = {
     "nearest": cv2.INTER_NEAREST,
@@ -74,6 +77,24 @@ def resample(
     if usable is not None:
         _clear_masked(usable, positions, method, valid)
     return window.col0, window.row0
+
+
+def clear_frame(
+    camera: Camera,
+    positions: tuple[Floats32, Floats32],
+    shift: tuple[int, int],
+    reduction: int,
+    valid: NDArray[np.uint8],
+) -> bool:
+    """Clear what lies on the frame of a film, not in its picture; whether anything is left.
+
+    Positions as `resample` takes them.
+    """
+    if camera.format_mm is None:
+        return True
+    place = [(part + np.float32(0.5) + s) * reduction for part, s in zip(positions, shift, strict=True)]
+    valid[~camera.in_picture(np.stack(place, axis=-1))] = 0
+    return bool(valid.any())
 
 
 def filled_parts(valid: NDArray[np.uint8]) -> list[tuple[slice, slice]]:

@@ -93,6 +93,7 @@ def camera_record(camera: Camera) -> Record:
         "principal_point_mm": list(camera.principal_point_mm),
         "pixel_from_photo": [list(row) for row in camera.pixel_from_photo],
         "distortion": {"model": kind, **distortion},
+        **({} if camera.format_mm is None else {"format_mm": list(camera.format_mm)}),
     }
 
 
@@ -112,6 +113,7 @@ def camera_from_record(record: Record) -> Camera:
         (record["principal_point_mm"][0], record["principal_point_mm"][1]),
         (tuple(matrix[0]), tuple(matrix[1])),
         built,
+        tuple(record["format_mm"]) if "format_mm" in record else None,
     )
 
 
