@@ -69,9 +69,15 @@ def _open(path: Path, overview: int | None) -> Any:
     settings.current()
     if not path.is_file():
         raise ImageError("no such file", file=path)
-    with reading(path), warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+    _photographs_have_no_georeference()
+    with reading(path):
         return rasterio.open(path) if overview is None else rasterio.open(path, overview_level=overview)
+
+
+def _photographs_have_no_georeference() -> None:
+    """Ignore the warning about it. For the whole process: `catch_warnings` is not safe among threads."""
+    if not any(entry[2] is NotGeoreferencedWarning for entry in warnings.filters):
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
 
 
 @contextlib.contextmanager
