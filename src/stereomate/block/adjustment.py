@@ -14,12 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from stereomate.block.check_points import CheckPoint, judged_check_points
+from stereomate.block.datum import find_defect
 from stereomate.block.gross_errors import GrossError
 from stereomate.block.loop import Progress, Solution, run_loop
 from stereomate.block.loop import image_residuals as residuals_at
 from stereomate.block.network import BlockCamera, Network
 from stereomate.block.options import BlockOptions
-from stereomate.block.snooping import snoop
+from stereomate.block.screening import implausible, screening_note
+from stereomate.block.snooping import snoop, without
 from stereomate.block.statistics import Statistics, counts, statistics_of
 from stereomate.block.unknowns import camera_from_values
 from stereomate.camera.model import Camera
@@ -89,6 +92,8 @@ class BlockAdjustment:
     converged : bool
     gross_errors : tuple of GrossError
         Found and taken out, the largest first.
+    check_points : tuple of CheckPoint
+        Those that stand out are to be counted apart; the notes name them.
     correlations : tuple of Correlation
     statistics : Statistics or None
     solution : Solution
@@ -115,6 +120,7 @@ class BlockAdjustment:
     damped: int
     converged: bool
     gross_errors: tuple[GrossError, ...]
+    check_points: tuple[CheckPoint, ...]
     correlations: tuple[Correlation, ...]
     statistics: Statistics | None
     solution: Solution
@@ -168,13 +174,20 @@ def adjust_block(
     """
     options = options or BlockOptions()
     width = options.huber_width if options.robust != "none" else math.inf
-    solution = run_loop(network, options, width=width, progress=progress)
+    searching = options.robust in ("snooping", "l1")
+    # Without what cannot be right: as far as the datum does not hang on it.
+    out = implausible(network) if searching else {}
+    if out and find_defect(without(network, out)).size > find_defect(network).size:
+        out = {}
+    solution = run_loop(without(network, out), options, width=width, progress=progress)
     gross: tuple[GrossError, ...] = ()
-    if options.robust in ("snooping", "l1"):
-        solution, gross = snoop(network, options, solution, progress)
+    if searching:
+        solution, gross = snoop(network, options, solution, progress, out)
         width = math.inf
     statistics = None
     notes = list(solution.notes)
+    if out:
+        notes.append(screening_note(network, out))
     if options.statistics:
         try:
             statistics = statistics_of(solution, options, width)
@@ -204,6 +217,9 @@ def _result(
     if statistics is not None:
         correlations = find_correlations(network, statistics, layout.names)
         notes = (*notes, *_inseparable(correlations))
+    points = np.where(known[:, None], state.points, np.nan)
+    checked = judged_check_points(network.control, network.points.names, points, statistics, options)
+    notes = (*notes, *_contradicting(checked))
     return BlockAdjustment(
         network=network,
         options=options,
@@ -213,7 +229,7 @@ def _result(
         ),
         centres=state.centres,
         rotations=state.rotations,
-        points=np.where(known[:, None], state.points, np.nan),
+        points=points,
         shared_names=layout.names,
         shared=shared,
         used=solution.used,
@@ -227,11 +243,26 @@ def _result(
         damped=solution.damped,
         converged=solution.converged,
         gross_errors=gross,
+        check_points=checked,
         correlations=correlations,
         statistics=statistics,
         solution=solution,
         notes=notes,
     )
+
+
+def _contradicting(checked: tuple[CheckPoint, ...]) -> list[str]:
+    """Check points that stand out, in words."""
+    notes = []
+    for point in checked:
+        if point.stands_out:
+            x, y, z = point.difference
+            why = f", {point.reason}" if point.reason else ""
+            notes.append(
+                f"check point {point.name} contradicts the block and is counted apart: given minus adjusted "
+                f"{x:+.3f}, {y:+.3f}, {z:+.3f} m{why}"
+            )
+    return notes
 
 
 def _global_test(cost: float, redundancy: int, alpha: float) -> GlobalTest | None:

@@ -9,6 +9,7 @@ again come back, once. An observation that the block cannot be determined withou
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -39,14 +40,33 @@ _CONTROLLED: Final = 0.001
 _MEDIAN_OF_NORMAL: Final = 0.6744897501960817
 
 
+def without(network: Network, out: Collection[Key]) -> Network:
+    """A network in which some axes of control, positions and attitudes are not known."""
+    for kind in ("control", "positions", "attitudes"):
+        rows = [(row, axis) for (k, row, axis) in out if k == kind]
+        if not rows:
+            continue
+        part = getattr(network, kind)
+        sigma = part.sigma.copy()
+        for row, axis in rows:
+            sigma[row, axis] = math.inf
+        changes = {"sigma": sigma}
+        if kind == "control" and part.covariance is not None:
+            covariance = part.covariance.copy()
+            covariance[[row for row, _ in rows]] = np.nan
+            changes["covariance"] = covariance
+        network = replace(network, **{kind: replace(part, **changes)})
+    return network
+
+
 class _Search:
     """Which observations are out."""
 
-    def __init__(self, network: Network, options: BlockOptions) -> None:
+    def __init__(self, network: Network, options: BlockOptions, out: Mapping[Key, float]) -> None:
         self.network, self.options = network, options
         self.used = np.ones(len(network.image.photo), np.bool_)
         self.back: Mask = np.zeros_like(self.used)
-        self.out: dict[Key, float] = {}
+        self.out: dict[Key, float] = dict(out)
         self.limit = float(norm.isf(options.tests.alpha / 2.0))
         control = network.control
         self.of_control: Mask = np.isin(network.image.point, () if control is None else control.point)
@@ -61,22 +81,7 @@ class _Search:
 
     def reduced(self) -> Network:
         """The network without the axes of control, positions and attitudes that are out."""
-        network = self.network
-        for kind in ("control", "positions", "attitudes"):
-            rows = [(row, axis) for (k, row, axis) in self.out if k == kind]
-            if not rows:
-                continue
-            part = getattr(network, kind)
-            sigma = part.sigma.copy()
-            for row, axis in rows:
-                sigma[row, axis] = math.inf
-            changes = {"sigma": sigma}
-            if kind == "control" and part.covariance is not None:
-                covariance = part.covariance.copy()
-                covariance[[row for row, _ in rows]] = np.nan
-                changes["covariance"] = covariance
-            network = replace(network, **{kind: replace(part, **changes)})
-        return network
+        return without(self.network, self.out)
 
     def scale(self, statistics: Statistics) -> float:
         """Robust standard deviation of unit weight, or 1."""
@@ -276,9 +281,23 @@ class _Search:
 
 
 def snoop(
-    network: Network, options: BlockOptions, solution: Solution, progress: Progress | None = None
+    network: Network,
+    options: BlockOptions,
+    solution: Solution,
+    progress: Progress | None = None,
+    out: Mapping[Key, float] | None = None,
 ) -> tuple[Solution, tuple[GrossError, ...]]:
     """Take gross errors out of a robust solution.
+
+    Parameters
+    ----------
+    network : Network
+        With all observations.
+    options : BlockOptions
+    solution : Solution
+        Huber's, `without` what is `out` from the start: (kind, row, axis).
+    progress : callable, optional
+    out : mapping, optional
 
     Returns
     -------
@@ -287,10 +306,10 @@ def snoop(
     gross : tuple of GrossError
         The largest first.
     """
-    search = _Search(network, options)
+    search = _Search(network, options, out or {})
     try:
         if options.robust == "l1":
-            solution, statistics = least_sum(network, options, solution, progress)
+            solution, statistics = least_sum(search.reduced(), options, solution, progress)
             search.remove_all(statistics)
         else:
             statistics = statistics_of(solution, options, options.huber_width)
