@@ -26,7 +26,7 @@ from stereomate.stereo.kernels.homogeneity import trace_window
 from stereomate.stereo.lineage import LineageRule
 from stereomate.stereo.measure import MeasureOptions, measure
 from stereomate.synthetic.survey import make_survey
-from stereomate.terrain.kernels.rays import sight_bounds
+from stereomate.terrain.kernels.sight import sight_bounds
 from stereomate.terrain.model import HeightModel
 
 # A camera that sees everything below it: what the rays do is asked, not where the format ends.

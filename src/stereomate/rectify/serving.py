@@ -17,7 +17,7 @@ from stereomate.rectify.kernels.serve import BOTH_SEE, LEFT_SEES, RIGHT_SEES, se
 from stereomate.rectify.layout import StereoModel
 from stereomate.rectify.options import Hidden
 from stereomate.rectify.scratch import scratch
-from stereomate.terrain.kernels.rays import sight_bounds, steepest_slope
+from stereomate.terrain.kernels.sight import sight_bounds, steepest_slope
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]

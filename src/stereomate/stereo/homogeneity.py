@@ -38,7 +38,7 @@ from stereomate.rectify.serving import (
 )
 from stereomate.stereo.kernels import homogeneity as kernels
 from stereomate.stereo.rays import ray_nodes, steepest_tangents
-from stereomate.terrain.kernels.rays import steepest_slope
+from stereomate.terrain.kernels.sight import steepest_slope
 from stereomate.tiles import executor as tiles
 from stereomate.tiles.ledger import Ledger, run_key
 from stereomate.tiles.plan import Chunk, TilePlan

@@ -9,8 +9,8 @@ from stereomate.camera.kernels import image_from_camera_point
 from stereomate.jit import inline_kernel, kernel
 from stereomate.rectify.kernels.surface import lattice_row
 from stereomate.rectify.kernels.warp import camera_point
-from stereomate.terrain.kernels.rays import occluded_bounded
 from stereomate.terrain.kernels.sampling import bilinear
+from stereomate.terrain.kernels.sight import occluded_bounded
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -438,7 +438,7 @@ def serve(
     surface_nodes : (node rows, node cols, 3)
         Position in `patch` and height offset, for the rays.
     bounds : (hiding photographs, patch rows - 1, patch cols - 1)
-        Of the patch and each centre, as `terrain.kernels.rays.sight_bounds` makes them.
+        Of the patch and each centre, as `terrain.kernels.sight.sight_bounds` makes them.
     bounds_of_photo : (photographs,)
         Index in `bounds`; -1 where ground in this window cannot be hidden from the photograph at all.
     tolerance : float

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from stereomate.jit import inline_kernel, kernel
 from stereomate.parallax.kernels import q_of_height
-from stereomate.terrain.kernels.sampling import sample, sample_line
+from stereomate.terrain.kernels.lines import sample_line
+from stereomate.terrain.kernels.sampling import sample
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]

@@ -15,7 +15,8 @@ from stereomate.jit import kernel
 from stereomate.parallax.kernels import height_of_q, q_of_height
 from stereomate.rectify.kernels.surface import lattice_row
 from stereomate.rectify.kernels.warp import camera_point
-from stereomate.terrain.kernels.rays import first_hit, occluded_bounded
+from stereomate.terrain.kernels.rays import first_hit
+from stereomate.terrain.kernels.sight import occluded_bounded
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -167,7 +168,7 @@ def trace_window(
     surface_nodes : (node rows, node cols, 3)
         Position in the patch and offset of its heights.
     bounds : (centres, rows - 1, cols - 1)
-        `terrain.kernels.rays.sight_bounds` of the patch.
+        `terrain.kernels.sight.sight_bounds` of the patch.
     bounds_of : (photographs,)
         Which of them belongs to a photograph; -1 where nothing in this window can be hidden from it.
     base, w0, reference : float

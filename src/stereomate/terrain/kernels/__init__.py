@@ -12,27 +12,24 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from stereomate.terrain.kernels.rays import (
+from stereomate.terrain.kernels.lines import bilinear_line, cubic_line, sample_line
+from stereomate.terrain.kernels.rays import first_hit, first_hits
+from stereomate.terrain.kernels.sampling import (
+    bilinear,
+    bilinear_gradient,
+    bilinear_points,
+    cubic,
+    cubic_gradient,
+    cubic_points,
+    sample,
+)
+from stereomate.terrain.kernels.sight import (
     block_maxima,
-    first_hit,
-    first_hits,
     occluded,
     occluded_blockwise,
     occluded_bounded,
     sight_bounds,
     steepest_slope,
-)
-from stereomate.terrain.kernels.sampling import (
-    bilinear,
-    bilinear_gradient,
-    bilinear_line,
-    bilinear_points,
-    cubic,
-    cubic_gradient,
-    cubic_line,
-    cubic_points,
-    sample,
-    sample_line,
 )
 
 # A kernel that samples a patch at scattered points: (patch, cols, rows, out).
