@@ -54,8 +54,7 @@ def strength_map(pairs: Sequence[PairOnMap], title: str = "") -> Figure:
         axes = figure.add_subplot()
         axes.set_aspect("equal", adjustable="datalim")
         crowded = len(pairs) > _MOST_LABELS
-        for pair in pairs:
-            _sections(axes, pair, crowded)
+        _sections(axes, pairs, crowded)
         for pair in pairs:
             _base(axes, pair, with_label=not crowded or pair.verdict != "good")
         _names(axes, pairs)
@@ -75,14 +74,26 @@ def strength_map(pairs: Sequence[PairOnMap], title: str = "") -> Figure:
     return figure
 
 
-def _sections(axes: Any, pair: PairOnMap, crowded: bool) -> None:
-    for section, points in zip(pair.sections.sections, pair.points_map, strict=True):
-        colour = _COLOURS["near critical" if section.near_critical else "weak" if section.weak else "good"]
-        ordered = points[np.argsort(section.strength.section[:, 0])]
-        axes.plot(ordered[:, 0], ordered[:, 1], color=colour, lw=0.3 if crowded else 0.6, alpha=0.7, zorder=2)
-        marker = _MARKERS[section.choice]
-        size = {"ms": 1.8, "mew": 0.4} if crowded else {"ms": 3.2, "mew": 0.8}
-        axes.plot(points[:, 0], points[:, 1], marker, color=colour, mfc="white", zorder=3, **size)
+def _sections(axes: Any, pairs: Sequence[PairOnMap], crowded: bool) -> None:
+    """Sections of all pairs, each look drawn at once: a line of its own for each takes most of the time."""
+    lines: dict[str, list[FloatArray]] = {}
+    points: dict[tuple[str, str], list[FloatArray]] = {}
+    gap = np.full((1, 2), np.nan)
+    for pair in pairs:
+        for section, places in zip(pair.sections.sections, pair.points_map, strict=True):
+            colour = _COLOURS[
+                "near critical" if section.near_critical else "weak" if section.weak else "good"
+            ]
+            ordered = places[np.argsort(section.strength.section[:, 0]), :2]
+            lines.setdefault(colour, []).extend([ordered, gap])
+            points.setdefault((colour, _MARKERS[section.choice]), []).append(places[:, :2])
+    for colour, parts in lines.items():
+        x, y = np.concatenate(parts).T
+        axes.plot(x, y, color=colour, lw=0.3 if crowded else 0.6, alpha=0.7, zorder=2)
+    size = {"ms": 1.8, "mew": 0.4} if crowded else {"ms": 3.2, "mew": 0.8}
+    for (colour, marker), parts in points.items():
+        x, y = np.concatenate(parts).T
+        axes.plot(x, y, marker, color=colour, mfc="white", zorder=3, **size)
 
 
 def _base(axes: Any, pair: PairOnMap, with_label: bool) -> None:
