@@ -2,10 +2,12 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import shapely
+import tifffile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rectify_scenes import BASE, FLYING_HEIGHT, make_job
@@ -22,6 +24,7 @@ from stereomate.rectify.radiometry import (
     balance_record,
     design,
 )
+from stereomate.rectify.seam_steps import measured_seam_steps
 from stereomate.rectify.seams import SeamLine, Seams, seams_from_record, seams_record
 
 SEAM = 380.25  # column of the seam in the scene's product
@@ -248,3 +251,34 @@ def test_records_give_seams_and_balance_back(tmp_path):
     assert balance_from_record(json.loads(json.dumps(balance_record(balance)))) == balance
     assert seams_from_record(None) is None
     assert balance_from_record(None) is None
+
+
+def test_steps_across_seams_are_told_from_those_of_the_ground(tmp_path):
+    """A step of 9 planted along a cut seam, none along a mixed one, on ground that has steps of its own."""
+    rng = np.random.default_rng(2)
+    rows, cols, at = 400, 200, 100
+    own = np.cumsum(rng.choice([-2.0, 2.0], cols))
+    ortho = 100.0 + own[None, :, None] + rng.normal(0.0, 1.0, (rows, cols, 3))
+    ortho[:200, at:] += 9.0
+    lineage = np.where(np.arange(cols) < at, 1, 2)[None, :, None] * np.ones((rows, 1, 2))
+    tifffile.imwrite(tmp_path / "ortho.tif", np.clip(ortho, 0, 255).astype(np.uint8), photometric="rgb")
+    tifffile.imwrite(
+        tmp_path / "lineage.tif", lineage.astype(np.uint16), photometric="minisblack", planarconfig="contig"
+    )
+    line = [(float(at), float(y), 0.0 if y < 200 else 6.0) for y in range(0, rows, 4)]
+    heights = SimpleNamespace(heights_at=lambda xy: np.zeros(len(xy)))
+    grid = SimpleNamespace(map_from_pixel=lambda at: at, gsd=1.0)
+    law = SimpleNamespace(q=lambda h: np.zeros(len(h)))
+    job = SimpleNamespace(
+        seams=Seams((), (SeamLine((0, 1), tuple(line)),)), law=law, heights=heights, grid=grid
+    )
+    found = measured_seam_steps(job, tmp_path / "ortho.tif", None, tmp_path / "lineage.tif")
+    mixed, cut = found
+    assert [(s.product, s.mixed) for s in found] == [("orthophoto", True), ("orthophoto", False)]
+    assert min(mixed.places, cut.places) >= 8
+    planted = 0.5 * (own[at] + own[at + 1] - own[at - 1] - own[at - 2])
+    assert mixed.across == pytest.approx(abs(planted), abs=0.8)
+    assert cut.across == pytest.approx(abs(planted + 9.0), abs=0.8)
+    beside = [0.5 * abs(own[c] + own[c + 1] - own[c - 1] - own[c - 2]) for c in (at - 13, at + 13)]
+    assert min(beside) - 0.8 < cut.beside < max(beside) + 0.8
+    assert cut.net == pytest.approx(cut.across - cut.beside)

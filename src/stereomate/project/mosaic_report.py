@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 from stereomate.rectify.job import RectifyJob
 from stereomate.rectify.mosaic import MosaicSummary
+from stereomate.rectify.seam_steps import SeamSteps
 from stereomate.report.page import Table
 
 SEAMS_CAPTION: Final = (
     "Ground of each model (left and right photograph), seams, and where photographs are mixed. The same "
     "lines are the seams of the stereomate, shifted by q. The polygons are in seams.gpkg, to be edited."
+)
+
+STEPS_CAPTION: Final = (
+    "Steps of brightness in values of the product, medians over stretches of 16 pixels: across seams, across "
+    "the same lines 13 pixels beside them, where there is none, and what the seams add. Two photographs of a "
+    "crown or a wall never continue each other: seams that are cut there show it, and are not mixed."
 )
 
 
@@ -48,6 +56,22 @@ def seams_table(job: RectifyJob) -> Table:
         label = names[pair.left] if pair.right < 0 else f"{names[pair.left]} – {names[pair.right]}"
         rows.append((label, f"{1e-4 * size:.2f}", f"{size / total:.1%}"))
     return Table(("model", "ground, ha", "share"), tuple(rows))
+
+
+def seam_steps_table(steps: Sequence[SeamSteps]) -> Table:
+    """Steps of brightness across seams, and across the same lines where there is none."""
+    rows = [
+        (
+            s.product,
+            "mixed (open ground)" if s.mixed else "cut (objects, walls)",
+            str(s.places),
+            f"{s.across:.1f}",
+            f"{s.beside:.1f}",
+            f"{s.net:+.1f}",
+        )
+        for s in steps
+    ]
+    return Table(("product", "seams", "stretches", "across", "beside", "net"), tuple(rows), STEPS_CAPTION)
 
 
 def _percent(values: tuple[float, ...]) -> str:

@@ -9,10 +9,11 @@ from typing import Final
 import numpy as np
 
 from stereomate.parallax.laws import LawKind, ParallaxLaw
-from stereomate.project.mosaic_report import SEAMS_CAPTION, mosaic_texts, seams_table
+from stereomate.project.mosaic_report import SEAMS_CAPTION, mosaic_texts, seam_steps_table, seams_table
 from stereomate.project.run import ProductResult
 from stereomate.rectify.job import RectifyJob
 from stereomate.rectify.layout import StereoModel
+from stereomate.rectify.seam_steps import measured_seam_steps
 from stereomate.report.page import Picture, Section, Table
 from stereomate.report.run_figures import law_figure, residual_figure, svg_uri
 from stereomate.report.seams import seams_figure
@@ -74,6 +75,10 @@ def product_section(out: Path, made: ProductResult) -> Section:
         if job.seams is not None:
             figure = svg_uri(seams_figure(job, pictures["ortho"]))
             shown.append(Picture(figure, SEAMS_CAPTION, "Seams", seams_table(job)))
+            mate = None if files.mate is None else out / files.mate
+            steps = measured_seam_steps(job, out / files.ortho, mate, out / files.lineage)
+            if steps:
+                tables.append(seam_steps_table(steps))
     if made.agreement is not None and files.mate is not None:
         tables.append(_agreement_table(made.agreement))
         tables += _model_tables(made.product, made.agreement)
