@@ -203,12 +203,34 @@ def test_stac_item_says_that_the_two_belong_together(made):
         assert item["properties"]["proj:shape"] == [file.height, file.width]
         assert item["properties"]["proj:transform"][:6] == pytest.approx(tuple(file.transform)[:6])
         lon, lat = file.lnglat()
+    _follows_published_rules(item)
     west, south, east, north = item["bbox"]
     assert west < lon < east
     assert south < lat < north
     # Corsica
     assert 8.5 < west < 9.6
     assert 41.3 < south < 43.1
+
+
+def _follows_published_rules(item):
+    """Rules of the extensions projection 2.0 and file 2.1, by their published schemas."""
+    assert [re.sub(r".*github\.io/|/schema\.json", "", url) for url in item["stac_extensions"]] == [
+        "projection/v2.0.0", "file/v2.1.0",
+    ]  # fmt: skip
+    fields = {key: value for key, value in item["properties"].items() if key.startswith("proj:")}
+    assert set(fields) <= {"proj:code", "proj:wkt2", "proj:shape", "proj:transform"}
+    assert fields["proj:code"] is None or re.fullmatch(r"[A-Z]+:[0-9A-Za-z]+", fields["proj:code"])
+    assert all(type(number) is int for number in fields["proj:shape"])
+    assert len(fields["proj:transform"]) in (6, 9)
+    assert {type(number) for number in fields["proj:transform"]} <= {float, int}
+    for asset in item["assets"].values():
+        assert {key for key in asset if ":" in key} <= {"file:checksum"}
+        assert re.fullmatch("[a-f0-9]+", asset.get("file:checksum", "0"))
+    corners = np.array(item["geometry"]["coordinates"][0])
+    assert (corners[0] == corners[-1]).all()
+    (x, y), (x1, y1) = corners[:-1].T, corners[1:].T
+    assert (x * y1 - x1 * y).sum() > 0  # counter-clockwise, as RFC 7946 asks
+    assert [*corners.min(axis=0), *corners.max(axis=0)] == item["bbox"]
 
 
 def test_report_holds_everything_itself(made):
