@@ -18,7 +18,11 @@ from stereomate.errors import FormatError
 from stereomate.forms import ORIENTATION
 from stereomate.project.check_points import CheckPoints
 from stereomate.project.model import Project
-from stereomate.report.orient_figures import adjusted_block_figure, centre_sigma_figure
+from stereomate.report.orient_figures import (
+    adjusted_block_figure,
+    centre_sigma_figure,
+    standardized_figure,
+)
 from stereomate.report.page import Picture, Section, Table
 from stereomate.report.run_figures import svg_uri
 
@@ -62,13 +66,17 @@ def adjustment_of(project: Project) -> dict[str, Any] | None:
 
 def adjusted_check_points(record: Mapping[str, Any]) -> CheckPoints | None:
     """The check points of an adjustment, which took no part in it; None where it has none."""
-    points = ((record["control"] or {}).get("check") or {}).get("points", [])
-    if not points:
+    found = ((record["control"] or {}).get("check") or {}).get("points", [])
+    # What contradicts the block is named beside the others, not counted with them.
+    points = [point for point in found if not point.get("apart")]
+    if not found:
         return None
 
     def values(key: str) -> Array:
-        found = [point.get(key) or [None] * 3 for point in points]
-        return np.array([[math.nan if v is None else v for v in row] for row in found], np.float64)
+        rows = [point.get(key) or [None] * 3 for point in points]
+        return np.array([[math.nan if v is None else v for v in row] for row in rows], np.float64).reshape(
+            -1, 3
+        )
 
     rms = record["summary"]["image_rms_px"]
     known = [v for v in rms.values() if v is not None]
@@ -81,7 +89,7 @@ def adjusted_check_points(record: Mapping[str, Any]) -> CheckPoints | None:
         measured_sigma_m=values("standard_deviation_m"),
         rays=np.array([point["rays"] for point in points]),
         image_rms_px=float(np.sqrt(np.mean(np.square(known)))) if known else math.nan,
-        left_out=(),
+        left_out=tuple(point["name"] for point in found if point.get("apart")),
         independent=True,
     )
 
@@ -107,12 +115,16 @@ def adjustment_section(record: Mapping[str, Any]) -> Section:
         "Orientation",
         paragraphs,
         tuple(tables),
-        _pictures(record),
+        block_pictures(record),
         tuple(record["findings"]),
     )
 
 
-def _pictures(record: Mapping[str, Any]) -> tuple[Picture, ...]:
+def block_pictures(record: Mapping[str, Any], ties: Array | None = None) -> tuple[Picture, ...]:
+    """Plan of the block with residuals, and standard deviations of its centres.
+
+    `ties`: map coordinates (k, 3) of tie points to show as dots.
+    """
     photographs = record["photographs"]
     names = [photo["name"] for photo in photographs]
     centres = _array(photo["position"] for photo in photographs)
@@ -130,14 +142,15 @@ def _pictures(record: Mapping[str, Any]) -> tuple[Picture, ...]:
         for kind, values in (record["control"] or {}).items()
         if values["points"]
     }
-    plan = adjusted_block_figure(centres, residuals, points)
+    plan = adjusted_block_figure(centres, residuals, points, names, ties)
     caption = (
         "Projection centres with the residuals of their observed positions, control points (triangles) and "
-        "check points (squares) with theirs: given minus adjusted."
+        "check points (squares) with theirs: given minus adjusted; arrows in plan, bars in height."
+        + ("" if ties is None else " Dots are tie points.")
     )
     pictures = [Picture(svg_uri(plan), caption, "Plan of the adjusted block", _residual_table(record))]
     if np.isfinite(sigma).any():
-        (table,) = photographs_section(record).tables
+        _, table = photographs_section(record).tables
         words = "Standard deviations of the projection centres along the tangent axes."
         figure = svg_uri(centre_sigma_figure(names, sigma))
         pictures.append(Picture(figure, words, "Standard deviations of the centres", table))
@@ -179,10 +192,10 @@ def cameras_table(record: Mapping[str, Any]) -> Table:
         )
         for camera in record["cameras"]
         for name, value in camera["parameters"].items()
-        if value["found"] or value["value"] != 0.0
+        if value["found"] or value["value"] != 0.0 or name.startswith("principal")
     ]
     headings = ("camera", "parameter", "value", "standard deviation", "standard deviation before")
-    return Table(headings, tuple(rows), "Cameras")
+    return Table(headings, tuple(rows))
 
 
 def orientation_facts(record: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -199,23 +212,67 @@ def orientation_facts(record: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("σ0", f"{number_text(summary['sigma0'], '{:.3f}')}, redundancy {summary['redundancy']}"),
     ]
     if test is not None:
-        facts.append(("Global test", "passed" if test["passed"] else "σ0 differs from 1 significantly"))
+        word = "passed" if test["passed"] else "failed, σ0 differs from 1"
+        facts.append(
+            ("Global test", f"{word}: {test['statistic']:.0f} in {test['lower']:.0f} to {test['upper']:.0f}")
+        )
     positions = record["positions"]
     if positions is not None:
         values = ", ".join(number_text(v, "{:.2f}") for v in positions["rms_m"])
         facts.append(("Residuals of positions, rms", f"{values} m (east, north, up)"))
+    for kind, entry in (record["control"] or {}).items():
+        if entry["count"]:
+            values = ", ".join(number_text(v, "{:.3f}") for v in entry["rms_m"])
+            facts.append((f"{entry['count']} {kind} points, rms", f"{values} m (east, north, up)"))
+    for judged in record.get("accuracy", []):
+        verdict = {True: "met", False: "NOT met", None: "not known: no check points"}[judged["met"]]
+        found = number_text(judged["found_m"], "{:.3f} m")
+        facts.append((f"Asked: {judged['what']} {judged['asked_m']:g} m", f"{found}, {verdict}"))
+    gross, observations = summary["gross_errors"], summary["observations"]
+    facts.append(("Gross errors taken out", f"{gross} of {observations + gross} observations"))
     return facts
+
+
+def groups_section(record: Mapping[str, Any]) -> list[Section]:
+    """How well each kind of observations is controlled, and their standardized residuals."""
+    groups = record.get("observations") or []
+    if not groups:
+        return []
+    rows = tuple(
+        (
+            group["kind"],
+            str(group["observations"]),
+            f"{number_text(group['residual_rms'], '{:.3g}')} {group['unit']}",
+            number_text(group["redundancy_mean"], "{:.2f}"),
+            number_text(group["redundancy_least"], "{:.2f}"),
+            number_text(group["largest_standardized"], "{:.1f}"),
+            f"{number_text(group['detectable_median'], '{:.3g}')} {group['unit']}",
+            str(group["gross_errors"]),
+        )
+        for group in groups
+    )
+    headings = (
+        "observations", "number", "residuals, rms", "redundancy number, mean", "least",
+        "largest standardized residual", "minimal detectable error, median", "gross errors taken out",
+    )  # fmt: skip
+    image = next((group for group in groups if group["kind"] == "image"), None)
+    pictures: tuple[Picture, ...] = ()
+    if image is not None:
+        figure = standardized_figure(image["standardized_histogram"])
+        words = "Standardized residuals of the image points that took part, and the normal distribution."
+        pictures = (Picture(svg_uri(figure), words, "Histogram of standardized residuals"),)
+    return [Section("Observations", tables=(Table(headings, rows),), pictures=pictures)]
 
 
 def control_sections(record: Mapping[str, Any]) -> list[Section]:
     """Residuals of control and check points, where there are any."""
     tables = []
     for kind, values in (record["control"] or {}).items():
-        if not values["count"]:
+        if not values["points"]:
             continue
         rows = [
             (
-                point["name"],
+                point["name"] + (" *" if point.get("apart") else ""),
                 *(number_text(v, "{:+.3f}") for v in point["residual_m"]),
                 *(number_text(v, "{:.3f}") for v in point["sigma_m"]),
                 str(point["rays"]),
@@ -227,32 +284,38 @@ def control_sections(record: Mapping[str, Any]) -> list[Section]:
         words = "Given minus adjusted, in the tangent frame."
         if kind == "check":
             words += " Check points took no part in the adjustment."
+        if values.get("apart"):
+            words += " *: contradicts the others, not counted in the rms."
         tables.append(Table(headings, tuple(rows), f"{kind.capitalize()} points. {words}"))
     return [Section("Control and check points", tables=tuple(tables))] if tables else []
 
 
 def photographs_section(record: Mapping[str, Any]) -> Section:
-    """Adjusted photographs with their standard deviations."""
-    rows = []
+    """Adjusted photographs, and how accurate they are."""
+    oriented, accuracy = [], []
     for photo in record["photographs"]:
-        position, angles = photo["position"], photo["omega_phi_kappa_deg"]
-        rows.append(
+        oriented.append(
             (
                 photo["name"],
-                *(f"{v:.3f}" for v in position),
-                *(f"{v:.4f}" for v in angles),
-                *(number_text(v, "{:.3f}") for v in photo["standard_deviation_m"]),
-                *(number_text(v, "{:.4f}") for v in photo["standard_deviation_deg"]),
+                *(f"{v:.3f}" for v in photo["position"]),
+                *(f"{v:.4f}" for v in photo["omega_phi_kappa_deg"]),
                 str(photo["image_points"]),
                 number_text(photo.get("image_rms_px"), "{:.2f}"),
             )
         )
-    headings = (
-        "photograph", "x", "y", "z", "ω°", "φ°", "κ°", "σx m", "σy m", "σz m",
-        "σ° x", "σ° y", "σ° z", "points", "rms px",
-    )  # fmt: skip
-    caption = record["frame"].get("angles", "") + "; standard deviations along and about the tangent axes."
-    return Section("Photographs", tables=(Table(headings, tuple(rows), caption),))
+        accuracy.append(
+            (
+                photo["name"],
+                *(number_text(v, "{:.3f}") for v in photo["standard_deviation_m"]),
+                *(number_text(v, "{:.4f}") for v in photo["standard_deviation_deg"]),
+            )
+        )
+    headings = ("photograph", "x", "y", "z", "ω°", "φ°", "κ°", "image points", "rms px")
+    caption = record["frame"].get("angles", record["frame"].get("axes", "")) + "."
+    sigmas = ("photograph", "σx m", "σy m", "σz m", "σ° about x", "about y", "about z")
+    words = "Standard deviations along and about the axes of the tangent frame."
+    tables = (Table(headings, tuple(oriented), caption), Table(sigmas, tuple(accuracy), words))
+    return Section("Photographs", tables=tables)
 
 
 def left_out_sections(record: Mapping[str, Any]) -> list[Section]:
@@ -261,7 +324,7 @@ def left_out_sections(record: Mapping[str, Any]) -> list[Section]:
     if not left:
         return []
     rows = tuple((entry["name"], entry["reason"]) for entry in left)
-    return [Section("Not oriented", tables=(Table(("photograph", "reason"), rows, "Not oriented"),))]
+    return [Section("Not oriented", tables=(Table(("photograph", "reason"), rows),))]
 
 
 def gross_section(record: Mapping[str, Any]) -> Section:

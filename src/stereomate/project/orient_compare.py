@@ -121,6 +121,8 @@ def _in_grid(result: BlockAdjustment, tangent: TangentFrame, frame: MapFrame) ->
     rows = []
     own = {n: s for entry in result.network.cameras for n, s in entry.free.items() if n != _C}
     for free in ({}, {_C: math.inf}):
+        if free and not _holds_heights(result):
+            continue
         for method in _METHODS:
             try:
                 found = compare_in_grid(result, tangent, frame, method, {**own, **free})
@@ -129,6 +131,15 @@ def _in_grid(result: BlockAdjustment, tangent: TangentFrame, frame: MapFrame) ->
                 continue
             rows.append(_row(found, _word(free)))
     return rows
+
+
+def _holds_heights(result: BlockAdjustment) -> bool:
+    """Whether control that took part has heights: without, a free principal distance is any."""
+    control = result.solution.prepared.network.control
+    if control is None:
+        return False
+    assert control.check is not None  # filled in by the network
+    return bool((~control.check & np.isfinite(control.sigma[:, 2])).any())
 
 
 def _word(free: dict[str, float]) -> str:

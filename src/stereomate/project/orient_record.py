@@ -20,6 +20,7 @@ from stereomate.project.orient_compare import comparisons, findings_of
 from stereomate.project.orient_expected import expected_accuracy, expected_finding
 from stereomate.project.orient_inputs import OrientInputs, heights_are_verified
 from stereomate.project.orient_measure import Measured
+from stereomate.project.orient_quality import judged_accuracy, observation_groups
 
 Array = NDArray[np.float64]
 
@@ -71,7 +72,7 @@ def adjustment_record(
     """Everything of `adjustment.json`; no times, so that a run repeated gives the same bytes."""
     result = adjusted.result
     expected = expected_accuracy(measured, adjusted)
-    comparison = comparisons(inputs, adjusted)
+    comparison, control = comparisons(inputs, adjusted), _control(inputs, adjusted)
     x, y = result.rms_px
     used = result.used
     rays = np.bincount(result.network.image.photo[used], minlength=len(photos.names))
@@ -98,12 +99,12 @@ def adjustment_record(
             "gross_errors": len(result.gross_errors),
         },
         "findings": [
+            *findings_of(comparison),
+            *_lost_positions(adjusted),
             *_height_findings(inputs, adjusted),
             *_turned(inputs, adjusted),
             *adjusted.findings,
             *expected_finding(expected),
-            *findings_of(comparison),
-            *_lost_positions(adjusted),
         ],
         "measurement": {
             "pairs": len(measured.pairs),
@@ -115,7 +116,9 @@ def adjustment_record(
         "photographs": _photographs(adjusted, photos, rays),
         "not_oriented": _not_oriented(inputs, measured, adjusted),
         "positions": _positions(inputs, adjusted),
-        "control": _control(inputs, adjusted),
+        "control": control,
+        "accuracy": judged_accuracy(inputs.file.accuracy, control),
+        "observations": observation_groups(result),
         "expected": expected,
         "comparison": comparison,
         "y_parallaxes": y_parallaxes(adjusted, photos.names),

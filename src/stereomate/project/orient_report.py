@@ -8,10 +8,13 @@ from typing import Any
 import numpy as np
 
 from stereomate import __version__
+from stereomate.frames.transform import map_from_tangent
 from stereomate.project.adjustment_report import (
+    block_pictures,
     cameras_table,
     control_sections,
     gross_section,
+    groups_section,
     left_out_sections,
     orientation_facts,
     pairs_section,
@@ -19,7 +22,7 @@ from stereomate.project.adjustment_report import (
 )
 from stereomate.project.compare_report import comparison_sections
 from stereomate.project.orient import OrientResult
-from stereomate.report.orient_figures import block_figure, residual_figure
+from stereomate.report.orient_figures import residual_figure
 from stereomate.report.page import Picture, ReportContent, Section, Table, write_report
 from stereomate.report.run_figures import svg_uri
 
@@ -42,6 +45,7 @@ def orient_content(result: OrientResult) -> ReportContent:
         _cameras(result),
         *control_sections(record),
         photographs_section(record),
+        *groups_section(record),
         *_expected(record),
         *comparison_sections(record),
         *left_out_sections(record),
@@ -110,18 +114,13 @@ def _text(value: float | None, form: str) -> str:
 
 
 def _block(result: OrientResult) -> Section:
-    adjusted = result.adjusted
+    adjusted, inputs = result.adjusted, result.inputs
     assert adjusted is not None  # a report is of a run that was made
-    network = adjusted.result.network
-    residuals = np.full((len(network.photographs.names), 3), np.nan)
-    statistics = adjusted.result.statistics
-    if network.positions is not None and statistics is not None and statistics.positions is not None:
-        residuals[network.positions.photo] = statistics.positions.residuals
-    figure = block_figure(
-        network.photographs.names, adjusted.result.centres, residuals, adjusted.result.points
-    )
-    caption = "Projection centres, tie points (dots), and residuals of the observed positions (arrows)."
-    return Section("The block", pictures=(Picture(svg_uri(figure), caption, "plan of the block"),))
+    ties = adjusted.result.points[: len(adjusted.assembled.ties)]
+    ties = ties[np.isfinite(ties[:, 0])]
+    if adjusted.has_datum and inputs.tangent is not None:
+        ties = map_from_tangent(inputs.tangent, inputs.frame, ties)
+    return Section("The block", pictures=block_pictures(result.record, ties))
 
 
 def _cameras(result: OrientResult) -> Section:

@@ -1,10 +1,11 @@
-"""Figures of an orientation: the block with residuals of its positions, image residuals over the format."""
+"""Figures of an orientation: the block with its residuals, image residuals over the format, statistics."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -15,46 +16,8 @@ Array = NDArray[np.float64]
 _CELLS = 12
 # The longest arrow takes this share of the width of a plan.
 _LONGEST = 0.12
-
-
-def block_figure(names: Sequence[str], centres: Array, residuals: Array, points: Array) -> Figure:
-    """Centres with the residuals of their observed positions, and the tie points.
-
-    Parameters
-    ----------
-    names : sequence of str
-    centres : ndarray, shape (n, 3)
-        In metres, any frame.
-    residuals : ndarray, shape (n, 3)
-        Observed minus adjusted position; NaN for none.
-    points : ndarray, shape (k, 3)
-    """
-    figure = Figure(figsize=(7.2, 6.0), dpi=110)
-    axes = figure.add_subplot()
-    origin = centres.mean(axis=0)
-    known = points[np.isfinite(points[:, 0])] - origin
-    axes.plot(known[:, 0], known[:, 1], ".", color=INK, markersize=1.2, alpha=0.35)
-    at = centres - origin
-    axes.plot(at[:, 0], at[:, 1], "o", color=ACCENT, markersize=4)
-    moved = np.isfinite(residuals[:, 0])
-    if moved.any():
-        largest = float(np.hypot(*residuals[moved, :2].T).max())
-        scale = 0.12 * float(np.ptp(at[:, :2], axis=0).max()) / max(largest, 1e-9)
-        axes.quiver(
-            at[moved, 0], at[moved, 1], residuals[moved, 0] * scale, residuals[moved, 1] * scale,
-            angles="xy", scale_units="xy", scale=1.0, color=WARM, width=0.004,
-        )  # fmt: skip
-        axes.set_title(f"longest arrow: {largest:.2f} m", fontsize=9)
-    if len(names) <= 40:
-        for name, (x, y, _) in zip(names, at, strict=True):
-            axes.annotate(name, (x, y), fontsize=6, xytext=(3, 3), textcoords="offset points")
-    reach = 1.35 * np.abs(at[:, :2]).max(axis=0) + 0.1 * np.ptp(at[:, :2], axis=0).max()
-    axes.set_xlim(-reach[0], reach[0])
-    axes.set_ylim(-reach[1], reach[1])
-    axes.set_aspect("equal")
-    axes.set_xlabel("east, m from the middle of the block")
-    axes.set_ylabel("north, m")
-    return figure
+_MOST_NAMES = 60
+_IMAGES = (".tif", ".tiff", ".jpg", ".jpeg", ".png", ".jp2")
 
 
 def residual_figure(pixels: Array, residuals: Array, size_px: tuple[int, int]) -> Figure:
@@ -87,9 +50,15 @@ def residual_figure(pixels: Array, residuals: Array, size_px: tuple[int, int]) -
 
 
 def adjusted_block_figure(
-    centres: Array, residuals: Array, points: Mapping[str, tuple[Array, Array]]
+    centres: Array,
+    residuals: Array,
+    points: Mapping[str, tuple[Array, Array]],
+    names: Sequence[str] = (),
+    ties: Array | None = None,
 ) -> Figure:
-    """Plan of an adjusted block in the map: residuals of positions, control and check points as arrows.
+    """Plan of an adjusted block in the map: residuals of positions, control and check points.
+
+    Arrows show them in plan, bars upwards and downwards in height, each kind to a scale of its own.
 
     Parameters
     ----------
@@ -98,49 +67,103 @@ def adjusted_block_figure(
         Of observed positions, metres; NaN for none.
     points : mapping of "control" and "check" to two ndarrays (k, 3)
         Map positions (NaN where not known) and residuals, metres.
+    names : sequence of str
+        Of the centres; what all begin with is left out.
+    ties : ndarray (k, 3), optional
+        Tie points in the map.
     """
-    figure = Figure(figsize=(7.2, 6.0), dpi=110)
-    axes = figure.add_subplot()
-    places = [centres[:, :2], *(at[:, :2] for at, _ in points.values())]
-    held = np.vstack(places)
+    held = np.vstack([centres[:, :2], *(at[:, :2] for at, _ in points.values())])
+    if ties is not None:
+        held = np.vstack([held, ties[:, :2]])
     held = held[np.isfinite(held).all(axis=1)]
-    low, high = held.min(axis=0), held.max(axis=0)
+    origin = np.round(held.mean(axis=0), -2)
+    low, high = held.min(axis=0) - origin, held.max(axis=0) - origin
     width = float(max((high - low).max(), 1.0))
-    shown = (
-        ("positions", centres, residuals, "o", ACCENT, 4.0),
-        *(
-            (f"{kind} points", *points[kind], marker, WARM if kind == "check" else INK, 6.0)
-            for kind, marker in (("control", "^"), ("check", "s"))
-            if kind in points
-        ),
-    )
-    for label, at, moved, marker, colour, size in shown:
-        known = np.isfinite(at[:, :2]).all(axis=1) & np.isfinite(moved[:, :2]).all(axis=1)
-        plan = np.hypot(*moved[known, :2].T)
-        largest = float(plan.max(initial=0.0))
-        said = f"{label}, longest {largest:.3g} m" if known.any() else label
-        axes.plot(at[:, 0], at[:, 1], marker, color=colour, markersize=size, fillstyle="none", label=said)
-        if largest > 0.0:
-            scale = _LONGEST * width / largest
-            axes.quiver(
-                *at[known, :2].T, *(scale * moved[known, :2].T), color=colour,
-                angles="xy", scale_units="xy", scale=1.0, width=0.004,
-            )  # fmt: skip
-    margin = (_LONGEST + 0.03) * width
+    figure = Figure(figsize=_size_of(high - low), dpi=110)
+    axes = figure.add_subplot()
+    if ties is not None:
+        axes.plot(*(ties[:, :2] - origin).T, ".", color=INK, markersize=1.0, alpha=0.3)
+    kinds = [("positions", centres, residuals, "o", ACCENT, 4.0)]
+    for kind, marker, colour in (("control", "^", INK), ("check", "s", WARM)):
+        if kind in points:
+            kinds.append((f"{kind} points", *points[kind], marker, colour, 6.0))
+    for label, at, moved, marker, colour, size in kinds:
+        plan = at[:, :2] - origin
+        axes.plot(
+            *plan.T, marker, color=colour, markersize=size, fillstyle="none",
+            label=_arrows(axes, plan, moved, label, colour, width),
+        )  # fmt: skip
+    if 0 < len(names) <= _MOST_NAMES:
+        for text, (x, y) in zip(_without_common(names), centres[:, :2] - origin, strict=True):
+            axes.annotate(text, (x, y), fontsize=6, xytext=(4, 3), textcoords="offset points", color="#555")
+    margin = (_LONGEST + 0.02) * width
     axes.set_xlim(low[0] - margin, high[0] + margin)
     axes.set_ylim(low[1] - margin, high[1] + margin)
     axes.set_aspect("equal")
     axes.tick_params(labelsize=7)
-    axes.ticklabel_format(style="plain", useOffset=False)
-    axes.set_xlabel("easting", fontsize=8)
-    axes.set_ylabel("northing", fontsize=8)
-    axes.legend(fontsize=7, loc="upper right")
+    axes.set_xlabel(f"easting - {origin[0]:.0f}", fontsize=8)
+    axes.set_ylabel(f"northing - {origin[1]:.0f}", fontsize=8)
+    figure.legend(fontsize=7, loc="outside lower left", frameon=False)
+    figure.set_layout_engine("constrained")
+    return figure
+
+
+def _arrows(axes: Axes, plan: Array, moved: Array, label: str, colour: str, width: float) -> str:
+    """Draw residuals of one kind; its label with the longest of them."""
+    known = np.isfinite(plan).all(axis=1)
+    flat, up = known & np.isfinite(moved[:, :2]).all(axis=1), known & np.isfinite(moved[:, 2])
+    if not (flat.any() or up.any()):
+        return label
+    lengths = (
+        float(np.hypot(*moved[flat, :2].T).max(initial=0.0)),
+        float(np.abs(moved[up, 2]).max(initial=0.0)),
+    )
+    scale = _LONGEST * width / max(*lengths, 1e-12)
+    axes.quiver(
+        *plan[flat].T, *(scale * moved[flat, :2].T), color=colour,
+        angles="xy", scale_units="xy", scale=1.0, width=0.0035,
+    )  # fmt: skip
+    foot = plan[up, 1]
+    axes.vlines(plan[up, 0], foot, foot + scale * moved[up, 2], color=colour, linewidth=2.5, alpha=0.45)
+    return f"{label}, longest {lengths[0]:.3g} m in plan, {lengths[1]:.3g} m in height"
+
+
+def _size_of(extent: Array) -> tuple[float, float]:
+    """Inches of a figure that is filled by its plan."""
+    ratio = float((extent[1] + _LONGEST) / max(extent[0] + _LONGEST, 1e-9))
+    return 5.6, float(np.clip(5.6 * ratio, 2.6, 7.0)) + 0.6
+
+
+def _without_common(names: Sequence[str]) -> list[str]:
+    """Names without extension and without what all of them begin with, but for digits."""
+    stems = [name.rsplit(".", 1)[0] if name.lower().endswith(_IMAGES) else name for name in names]
+    alike = 0
+    while all(alike < len(stem) and stem[alike] == stems[0][alike] for stem in stems):
+        alike += 1
+    alike = len(stems[0][:alike].rstrip("0123456789"))
+    return [stem[alike:] for stem in stems]
+
+
+def standardized_figure(counts: Sequence[int]) -> Figure:
+    """Histogram of standardized residuals from -5 to 5, and the normal distribution of as many."""
+    figure = Figure(figsize=(7.2, 2.8), dpi=110)
+    axes = figure.add_subplot()
+    edges = np.linspace(-5.0, 5.0, len(counts) + 1)
+    axes.bar(edges[:-1], counts, np.diff(edges), align="edge", color=ACCENT, alpha=0.55)
+    x = np.linspace(-5.0, 5.0, 201)
+    normal = np.exp(-x * x / 2.0) / np.sqrt(2.0 * np.pi)
+    axes.plot(x, normal * float(sum(counts)) * (edges[1] - edges[0]), color=INK, linewidth=1.0)
+    axes.set_xlim(-5.0, 5.0)
+    axes.set_xlabel("standardized residual", fontsize=8)
+    axes.set_ylabel("image coordinates", fontsize=8)
+    axes.tick_params(labelsize=7)
+    figure.set_layout_engine("constrained")
     return figure
 
 
 def centre_sigma_figure(names: Sequence[str], sigma: Array) -> Figure:
     """Standard deviations of projection centres (n, 3), metres, over the photographs."""
-    figure = Figure(figsize=(7.2, 3.2), dpi=110)
+    figure = Figure(figsize=(5.6, 3.2), dpi=110)
     axes = figure.add_subplot()
     at = np.arange(len(names))
     for axis, (label, colour) in enumerate((("east", ACCENT), ("north", INK), ("up", WARM))):
@@ -152,4 +175,5 @@ def centre_sigma_figure(names: Sequence[str], sigma: Array) -> Figure:
     axes.set_ylim(bottom=0.0)
     axes.set_ylabel("σ, m")
     axes.legend(fontsize=7)
+    figure.set_layout_engine("constrained")
     return figure
