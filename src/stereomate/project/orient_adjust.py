@@ -16,9 +16,9 @@ from stereomate.block.orient_network import NOMINAL, Assembled, BlockData, assem
 from stereomate.block.start import KnownPoints
 from stereomate.camera.model import Camera
 from stereomate.errors import NotDeterminedError
-from stereomate.project.orient_control import control_measurements
 from stereomate.project.orient_heights import height_findings
 from stereomate.project.orient_inputs import OrientInputs
+from stereomate.project.orient_known import control_measurements
 from stereomate.project.orient_measure import Measured
 from stereomate.project.orient_photos import shared_pixels
 from stereomate.project.orient_placed import placed_by_table

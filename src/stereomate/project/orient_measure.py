@@ -32,8 +32,8 @@ from stereomate.measurement.database import CameraRow, ImageRow, MeasurementData
 from stereomate.measurement.features import FeatureOptions
 from stereomate.measurement.tracks import ThinningOptions, TiePoints
 from stereomate.project.inputs import PhotoProblem
-from stereomate.project.orient_control import known_points, outside_findings
 from stereomate.project.orient_inputs import OrientInputs
+from stereomate.project.orient_known import known_points, outside_findings
 from stereomate.project.orient_stated import (
     LEAST_POINTS,
     block_photos,

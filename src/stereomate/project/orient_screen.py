@@ -21,8 +21,8 @@ from stereomate.errors import CrsError, NotDeterminedError, ProjectError
 from stereomate.frames.checks import check_height_units
 from stereomate.frames.transform import map_from_tangent
 from stereomate.geometry.similarity import SpaceTransform
-from stereomate.project.orient_control import known_points
 from stereomate.project.orient_inputs import OrientInputs, heights_are_verified
+from stereomate.project.orient_known import known_points
 from stereomate.project.orient_measure import Measured, PartStart
 from stereomate.units import FOOT
 
