@@ -13,13 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.block.adjustment import BlockAdjustment, adjust_block
-from stereomate.block.network import Network
+from stereomate.block.network import ImagePoints, Network
 from stereomate.block.options import BlockOptions
+from stereomate.block.snooping import without
 from stereomate.block.statistics import Reliability
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 _SETTLED: Final = 0.01
+# Searches for gross errors, each with the standard deviations fitted to what was good in the one before.
+_SEARCHES: Final = 4
 # Below this redundancy a group says too little about its own variance.
 _LEAST_REDUNDANCY: Final = 2.0
 
@@ -31,8 +35,8 @@ class VarianceComponent:
     Attributes
     ----------
     group : str
-        ``image``, ``control plan``, ``control height``, ``positions plan``, ``positions height``,
-        ``attitudes``.
+        ``image`` (tie points), ``control images`` (measurements of control and check points),
+        ``control plan``, ``control height``, ``positions plan``, ``positions height``, ``attitudes``.
     factor : float
         Estimated over a priori standard deviation; 1 where the group is too small to tell.
     redundancy : float
@@ -56,6 +60,7 @@ class VarianceComponents:
 
 _PARTS: Final[tuple[tuple[str, str, tuple[int, ...]], ...]] = (
     ("image", "image", (0, 1)),
+    ("control images", "image", (0, 1)),
     ("control plan", "control", (0, 1)),
     ("control height", "control", (2,)),
     ("positions plan", "positions", (0, 1)),
@@ -67,20 +72,53 @@ _PARTS: Final[tuple[tuple[str, str, tuple[int, ...]], ...]] = (
 def estimate_variance_components(
     network: Network, options: BlockOptions | None = None, max_iterations: int = 15
 ) -> VarianceComponents:
-    """Fit the standard deviations of all kinds of observations to their residuals."""
-    options = replace(options or BlockOptions(), statistics=True, scale_by="prior")
+    """Fit the standard deviations of all kinds of observations to their residuals.
+
+    Gross errors are looked for as `options` say, with the standard deviations as given; the components are
+    fitted to what is good, and gross errors are looked for again with the fitted ones, until both agree.
+    """
+    options = options or BlockOptions()
+    adjustment = adjust_block(network, replace(options, statistics=True, scale_by="prior"))
     factors = {name: 1.0 for name, _, _ in _PARTS}
     redundancies: dict[str, float] = {}
-    converged, iteration = False, 0
-    adjustment = adjust_block(network, options)
-    while iteration < max_iterations and not converged:
-        iteration += 1
-        converged = True
+    iterations, converged = 0, False
+    for _ in range(_SEARCHES if options.robust in ("snooping", "l1") else 1):
+        step, redundancies, count, converged = _fitted(adjustment, max_iterations)
+        iterations += count
+        for name, factor in step.items():
+            factors[name] *= factor
+        if max(abs(factor - 1.0) for factor in step.values()) < _SETTLED:
+            break
+        start = adjustment.adjusted_network()
+        scaled = _scaled(replace(start, cameras=network.cameras), step)
+        adjustment = adjust_block(scaled, replace(options, statistics=True, scale_by="prior"))
+    if options.scale_by != "prior" or not options.statistics:
+        adjustment = adjust_block(adjustment.network, options)
+    components = tuple(
+        VarianceComponent(name, factors[name], redundancies[name])
+        for name, _, _ in _PARTS
+        if name in redundancies
+    )
+    return VarianceComponents(components, adjustment, iterations, converged)
+
+
+def _fitted(
+    adjustment: BlockAdjustment, max_iterations: int
+) -> tuple[dict[str, float], dict[str, float], int, bool]:
+    """Factors of the groups over the good observations, redundancies, iterations, and if it converged."""
+    factors = {name: 1.0 for name, _, _ in _PARTS}
+    redundancies: dict[str, float] = {}
+    network, plain = _good(adjustment), replace(adjustment.options, robust="none")
+    current = adjust_block(network, plain)
+    for iteration in range(1, max_iterations + 1):
+        settled = True
         for name, kind, axes in _PARTS:
-            reliability = _reliability(adjustment, kind)
+            reliability = _reliability(current, kind)
             if reliability is None:
                 continue
-            total, redundancy = _sums(reliability, axes)
+            total, redundancy = _sums(reliability, axes, _rows(current.network, name))
+            if not redundancy:
+                continue
             redundancies[name] = redundancy
             if redundancy < _LEAST_REDUNDANCY:
                 continue
@@ -88,15 +126,11 @@ def estimate_variance_components(
             # A group that fits too well is not let go to zero in one stride.
             step = min(max(step, 0.2), 10.0)
             factors[name] *= step
-            converged &= abs(step - 1.0) < _SETTLED
-        if not converged:
-            adjustment = adjust_block(_scaled(network, factors), options)
-    components = tuple(
-        VarianceComponent(name, factors[name], redundancies[name])
-        for name, _, _ in _PARTS
-        if name in redundancies
-    )
-    return VarianceComponents(components, adjustment, iteration, converged)
+            settled &= abs(step - 1.0) < _SETTLED
+        if settled:
+            return factors, redundancies, iteration, True
+        current = adjust_block(_scaled(network, factors), plain)
+    return factors, redundancies, max_iterations, False
 
 
 def components_of(adjustment: BlockAdjustment) -> tuple[VarianceComponent, ...]:
@@ -109,10 +143,33 @@ def components_of(adjustment: BlockAdjustment) -> tuple[VarianceComponent, ...]:
         reliability = _reliability(adjustment, kind)
         if reliability is None:
             continue
-        total, redundancy = _sums(reliability, axes)
+        total, redundancy = _sums(reliability, axes, _rows(adjustment.network, name))
         if redundancy >= _LEAST_REDUNDANCY:
             found.append(VarianceComponent(name, float(np.sqrt(total / redundancy)), redundancy))
     return tuple(found)
+
+
+def _good(adjustment: BlockAdjustment) -> Network:
+    """The network of what took part, from where it was adjusted; priors keep the values they were given."""
+    network = replace(adjustment.adjusted_network(), cameras=adjustment.network.cameras)
+    out = {
+        (error.kind, error.row, axis)
+        for error in adjustment.gross_errors
+        if error.kind != "image"
+        for axis in np.flatnonzero(np.isfinite(error.size)).tolist()
+    }
+    used, image = adjustment.used, network.image
+    image = ImagePoints(image.photo[used], image.point[used], image.xy[used], image.sigma[used])
+    return replace(without(network, out), image=image)
+
+
+def _rows(network: Network, group: str) -> Mask | slice:
+    """Rows of a kind of observations that belong to a group."""
+    if group not in ("image", "control images"):
+        return slice(None)
+    control = network.control
+    of_control = np.isin(network.image.point, () if control is None else control.point)
+    return np.asarray(of_control if group == "control images" else ~of_control)
 
 
 def _reliability(adjustment: BlockAdjustment, kind: str) -> Reliability | None:
@@ -120,19 +177,28 @@ def _reliability(adjustment: BlockAdjustment, kind: str) -> Reliability | None:
     return found
 
 
-def _sums(reliability: Reliability, axes: tuple[int, ...]) -> tuple[float, float]:
-    redundancy = reliability.redundancy[:, axes]
+def _sums(reliability: Reliability, axes: tuple[int, ...], rows: Mask | slice) -> tuple[float, float]:
+    redundancy = reliability.redundancy[rows][:, axes]
     part = np.isfinite(redundancy)
-    square = (reliability.residuals[:, axes] / reliability.sigma[:, axes]) ** 2
+    square = (reliability.residuals[rows][:, axes] / reliability.sigma[rows][:, axes]) ** 2
     return float(square[part].sum()), float(redundancy[part].sum())
 
 
 def _scaled(network: Network, factors: dict[str, float]) -> Network:
     for name, kind, axes in _PARTS:
         part = getattr(network, kind)
-        if part is None:
+        if part is None or factors[name] == 1.0:
             continue
         sigma = part.sigma.copy()
-        sigma[:, axes] *= factors[name]
-        network = replace(network, **{kind: replace(part, sigma=sigma)})
+        rows = _rows(network, name)
+        if isinstance(rows, slice):
+            sigma[:, axes] *= factors[name]
+        else:
+            sigma[rows] *= factors[name]
+        changes = {"sigma": sigma}
+        if kind == "control" and part.covariance is not None:
+            root = np.ones(3)
+            root[list(axes)] = factors[name]
+            changes["covariance"] = part.covariance * np.outer(root, root)
+        network = replace(network, **{kind: replace(part, **changes)})
     return network
