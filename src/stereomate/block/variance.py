@@ -23,7 +23,7 @@ Mask = NDArray[np.bool_]
 
 _SETTLED: Final = 0.01
 # Searches for gross errors, each with the standard deviations fitted to what was good in the one before.
-_SEARCHES: Final = 4
+_SEARCHES: Final = 12
 # Below this redundancy a group says too little about its own variance.
 _LEAST_REDUNDANCY: Final = 2.0
 
