@@ -111,12 +111,19 @@ def stereo_2_to_3(document: Document) -> Document:
     return {**document, "products": [migrated(product) for product in document["products"]]}
 
 
+def stereo_3_to_4(document: Document) -> Document:
+    """Products whose orientations have no stated covariance."""
+    products = [{**product, "orientation_covariance": None} for product in document["products"]]
+    return {**document, "products": products}
+
+
 PROJECT: Final = Form("project file", section="project", may_be_absent=True)
-STEREO: Final = Form("stereo.json", (stereo_1_to_2, stereo_2_to_3))
+STEREO: Final = Form("stereo.json", (stereo_1_to_2, stereo_2_to_3, stereo_3_to_4))
 LEDGER: Final = Form("tile ledger")
 RUN_REPORT: Final = Form("report.json")
 RUN_PAGE: Final = Form("report.html")
 ORIENTATION: Final = Form("adjustment.json")
+ORIENTATION_COVARIANCE: Final = Form("orientation_covariance.json")
 PAIR: Final = Form("relative orientation")
 PAGE: Final = Form("viewer's product.json")
 FORMS: Final = (PROJECT, STEREO, LEDGER, RUN_REPORT, RUN_PAGE, ORIENTATION, PAIR, PAGE)

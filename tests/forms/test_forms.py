@@ -133,6 +133,14 @@ def test_the_balance_of_the_second_form_has_no_local_part():
     assert (found.coefficients[0][0], found.local) == (tuple(old["balance"][0][0]), ())
 
 
+def test_orientations_of_the_third_form_have_no_covariance():
+    document = json.loads((FROZEN / "stereo_3.json").read_text())
+    after = forms.stereo_3_to_4(document)
+    (old,), (new,) = document["products"], after["products"]
+    assert new == {**old, "orientation_covariance": None}
+    assert read_products(FROZEN / "stereo_3.json")[0].orientation is None
+
+
 def test_a_product_of_the_first_form_means_what_it_meant():
     """Read as values and written again: all numbers of the old document, to the last bit."""
     (old,) = json.loads((FROZEN / "stereo_1.json").read_text())["products"]
@@ -151,11 +159,12 @@ def test_a_product_of_the_first_form_means_what_it_meant():
 
 
 def test_the_present_form_is_written_as_it_was_read(monkeypatch):
-    (written,) = json.loads((FROZEN / "stereo_3.json").read_text())["products"]
-    (product,) = read_products(FROZEN / "stereo_3.json")
+    (written,) = json.loads((FROZEN / "stereo_4.json").read_text())["products"]
+    (product,) = read_products(FROZEN / "stereo_4.json")
     assert product.job.seams is not None
     assert product.job.balance is not None
     assert product.job.balance.local
+    assert product.orientation is not None
     # The height model itself is not among the frozen files, so nothing can be hashed.
     monkeypatch.setattr(record, "height_model_record", lambda model, folder: written["height_model"])
     again = json.loads(json.dumps(product_record(product)), parse_constant=lambda nan: None)

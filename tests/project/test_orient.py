@@ -16,14 +16,15 @@ import shapely
 import tifffile
 from run_survey import write_tiny
 
-from stereomate.errors import NotDeterminedError, ProjectError
+from stereomate.errors import FormatError, NotDeterminedError, ProjectError
 from stereomate.project import load
+from stereomate.project.covariance_file import COVARIANCE
 from stereomate.project.orient import OrientOptions, OrientResult, orient
 from stereomate.project.orient_files import ORIENTATION, TABLES
 from stereomate.project.orient_layers import LAYERS
 from stereomate.project.orient_report import write_orient_report
 
-SAME = ("adjustment.json", ORIENTATION, "oriented.toml", LAYERS, *TABLES)
+SAME = ("adjustment.json", ORIENTATION, COVARIANCE, "oriented.toml", LAYERS, *TABLES)
 
 
 @pytest.fixture(scope="module")
@@ -97,6 +98,34 @@ def test_what_was_expected_stands_beside_what_was_found(whole: OrientResult) -> 
     np.testing.assert_allclose(expected["found"]["centres_m"], np.median(sigma, axis=0), rtol=1e-6)
     assert all(0.1 < ratio < 3.0 for ratio in expected["ratio"]["centres_m"])
     assert "Expected before the flight" in (whole.out / "orient.html").read_text(encoding="utf-8")
+
+
+def test_products_know_how_well_the_block_is_oriented(whole: OrientResult, tmp_path: Path) -> None:
+    """Through the file into the project: the same numbers, along the same axes, or not at all."""
+    assert whole.project_file is not None
+    assert whole.adjusted is not None
+    statistics = whole.adjusted.result.statistics
+    known = load(whole.project_file).orientation_covariance
+    assert known is not None
+    assert statistics is not None
+    names = [Path(name).stem for name in whole.adjusted.result.network.photographs.names]
+    assert len(known.pairs) == len(whole.record["y_parallaxes"]) > 6
+    for k, name in enumerate(names):
+        np.testing.assert_allclose(
+            np.sqrt(np.diagonal(known.photographs[name])), statistics.photo_sigma[k], rtol=1e-9
+        )
+    for left, right in known.pairs:
+        matrix = known.of_pair(left, right)
+        sigma = np.sqrt(np.diagonal(matrix))
+        # neighbours err together, and never more than that
+        assert np.linalg.eigvalsh(matrix / np.outer(sigma, sigma)).min() > 0.0
+        assert np.abs(known.of_pair(right, left)[:6, 6:] - matrix[6:, :6]).max() == 0.0
+    folder = tmp_path / "copy"
+    shutil.copytree(whole.out, folder)
+    table = folder / ORIENTATION
+    table.write_text(table.read_text(encoding="utf-8") + "\n", encoding="utf-8")
+    with pytest.raises(FormatError, match="belongs to other orientations than"):
+        load(folder / "oriented.toml")
 
 
 def test_stated_accuracy_holds(survey: Path, whole: OrientResult) -> None:

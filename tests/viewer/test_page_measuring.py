@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from browsing import SURVEY, serving
 
+from stereomate.coverage.covariance import OrientationCovariance
 from stereomate.stereo.measure import Flag, MeasureOptions
 from stereomate.stereo.product import StereoProduct
 from stereomate.terrain.model import HeightModel
@@ -32,13 +33,13 @@ MEASURE = """async ([base, pairs, accuracy]) => {
 ACCURACY = MeasureOptions(sigma_px=0.3, centre_sigma_m=0.03, angle_sigma_rad=5e-5)
 
 
-def in_page(browser, address, pairs):
+def in_page(browser, address, pairs, stated=ACCURACY):
     page = browser.new_page()
     page.goto(address + "product.js")
     accuracy = {
-        "px": ACCURACY.sigma_px,
-        "centre": ACCURACY.centre_sigma_m,
-        "angle": ACCURACY.angle_sigma_rad,
+        "px": stated.sigma_px,
+        "centre": stated.centre_sigma_m,
+        "angle": stated.angle_sigma_rad,
     }
     found = page.evaluate(MEASURE, [address, [[a.tolist(), b.tolist()] for a, b in pairs], accuracy])
     page.close()
@@ -93,8 +94,21 @@ def test_flags_and_lineage_equal_python(both):
     np.testing.assert_allclose(law, python.law_heights[measured], atol=1e-9)
 
 
-def test_hidden_ground_equals_python(product, browser):
-    """Walls in the height model hide ground behind them: from the same photographs in page and Python."""
+def known_orientations(job):
+    """Covariances of an adjustment that left the last pair of photographs out."""
+    names = [photograph.name for photograph in job.photographs]
+    factor = np.random.default_rng(6).normal(0.0, 1.0, (6 * len(names), 80))
+    factor[:, :40] = np.tile(factor[:6, :40], (len(names), 1))
+    whole = np.tile([0.02] * 3 + [4e-5] * 3, len(names))[:, None] * factor / 9.0
+    block = {k: whole[6 * k : 6 * k + 6] for k in range(len(names))}
+    pairs = {(names[b], names[a]): block[b] @ block[a].T for b in block for a in range(b)}
+    pairs.pop((names[-1], names[-2]))
+    return OrientationCovariance({names[k]: block[k] @ block[k].T for k in block}, pairs)
+
+
+def test_hidden_ground_and_known_orientations_equal_python(product, browser):
+    """Walls in the height model hide ground behind them: from the same photographs in page and Python. The
+    accuracy of the orientation is that of the product, where it has it."""
     job = product.job
     rows, cols = job.heights.shape
     heights = np.array(job.heights.patch(0, 0, cols, rows).heights)
@@ -105,13 +119,21 @@ def test_hidden_ground_equals_python(product, browser):
         heights=HeightModel.from_array(heights, job.heights.affine, job.heights.frame),
         height_range=(job.height_range[0], job.height_range[1] + 90.0),
     )
-    product = dataclasses.replace(product, job=walled)
+    product = dataclasses.replace(product, job=walled, orientation=known_orientations(job))
     left, right = random_pairs(walled, 200, 3)
-    python = product.measure(job.grid.map_from_pixel(left), job.grid.map_from_pixel(right), ACCURACY)
+    options = MeasureOptions(sigma_px=0.3)
+    python = product.measure(job.grid.map_from_pixel(left), job.grid.map_from_pixel(right), options)
     site = Site([product])
     with serving(site) as address:
-        page = in_page(browser, address, list(zip(left, right, strict=True)))
+        page = in_page(browser, address, list(zip(left, right, strict=True)), options)
     site.close()
+    share = python.orientation_covariance
+    known = np.isfinite(share).all(axis=(1, 2)) & python.measured
+    assert 5 < known.sum() < python.measured.sum()
+    assert [m["orientation"] is not None for m in page] == known.tolist()
+    found = np.array([m["orientation"] for m in page if m["orientation"]])
+    scale = np.sqrt(np.einsum("nii,njj->nij", share[known], share[known]))
+    np.testing.assert_allclose(found / scale, share[known] / scale, atol=1e-4)
     hidden = (python.flags & int(Flag.HIDDEN)) != 0
     print(hidden.sum(), "of", python.measured.sum(), "points on hidden ground")
     assert 10 < hidden.sum() < python.measured.sum() - 10

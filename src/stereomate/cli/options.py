@@ -9,7 +9,10 @@ import typer
 
 # The orientation's share in the standard deviations of measured points.
 CentreSigma = Annotated[
-    float, typer.Option("--centre-sigma", help="Standard deviation of projection centres, metres.")
+    float,
+    typer.Option(
+        "--centre-sigma", help="Standard deviation of projection centres, metres; else as the product knows."
+    ),
 ]
 AngleSigma = Annotated[
     float, typer.Option("--angle-sigma", help="Standard deviation of their rotations, degrees.")

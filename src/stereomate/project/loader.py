@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.camera.model import Camera
+from stereomate.coverage.covariance import OrientationCovariance
 from stereomate.coverage.survey import Survey
 from stereomate.errors import InputError, ProjectError
 from stereomate.formats.law_table import read_law_table
@@ -21,6 +22,7 @@ from stereomate.frames.transform import map_from_map
 from stereomate.project.cameras import camera_from_section
 from stereomate.project.candidates import Candidate, find_candidates, planned_candidates
 from stereomate.project.compare import Comparison, compare_orientations
+from stereomate.project.covariance_file import read_covariance
 from stereomate.project.inputs import InputFile, PhotoProblem, file_digest, photo_fingerprint
 from stereomate.project.model import Project
 from stereomate.project.orient_control import check_control_units
@@ -112,6 +114,7 @@ def load(path: str | Path, *, strict: bool | None = None, planned: bool = False)
         grid_adjustment=placed.adjustment,
         inputs=_inputs(path, written, survey, file),
         comparison=_comparison(file, reading, survey),
+        orientation_covariance=_covariance(file, path, written, survey),
         problems=tuple(problems),
         warnings=tuple(suspicious_angles(written)),
         notes=tuple(notes),
@@ -257,6 +260,17 @@ def _comparison(file: ProjectFile, reading: Reading, survey: Survey) -> Comparis
     return compare_orientations(section, replace(reading, field="photos.compare"), survey)
 
 
+def _covariance(
+    file: ProjectFile, path: Path, written: WrittenOrientations, survey: Survey
+) -> OrientationCovariance | None:
+    """Of the photographs of the survey, which the file knows by the names of their files."""
+    name = file.photos.orientation_covariance
+    if name is None:
+        return None
+    known = read_covariance(path.parent / name, survey.tangent, written.source)
+    return known.renamed({p.name if p.path is None else p.path.name: p.name for p in survey.photographs})
+
+
 def _inputs(
     path: Path, written: WrittenOrientations, survey: Survey, file: ProjectFile
 ) -> tuple[InputFile, ...]:
@@ -269,7 +283,8 @@ def _inputs(
         inputs.append(InputFile("control", control, file_digest(control)))
     water = None if file.terrain is None else file.terrain.water
     named_files = [(key, getattr(file.products, key)) for key in _FILES_WITH_DIGEST]
-    for key, name in (*named_files, ("water", water)):
+    covariance = file.photos.orientation_covariance
+    for key, name in (*named_files, ("water", water), ("orientation_covariance", covariance)):
         if name is not None:
             inputs.append(InputFile(key, path.parent / name, file_digest(path.parent / name)))
     inputs += [

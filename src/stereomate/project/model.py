@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import shapely
 
+from stereomate.coverage.covariance import OrientationCovariance
 from stereomate.coverage.survey import Survey
 from stereomate.errors import InputError, ProjectError
 from stereomate.frames.adjusted import GridAdjustment
@@ -63,6 +64,8 @@ class Project:
         Every file that was read, but for the height model, whose hash is ``heights.content_hash``.
     comparison : Comparison or None
         Of the orientation with the one of ``[photos.compare]``.
+    orientation_covariance : OrientationCovariance or None
+        Of the orientations, along the axes of the survey's tangent frame.
     problems : tuple of PhotoProblem
         Photographs left out.
     warnings : tuple of str
@@ -94,6 +97,7 @@ class Project:
     document: Mapping[str, Any]
     seam_file: Path | None = None
     water: shapely.Geometry | None = None
+    orientation_covariance: OrientationCovariance | None = None
 
     @property
     def frame(self) -> MapFrame:

@@ -16,7 +16,9 @@ from stereomate.formats.orientation_set import OrientationSet
 from stereomate.formats.parquet import write_parquet
 from stereomate.formats.tables import write_table
 from stereomate.frames.transform import map_from_tangent
+from stereomate.project.covariance_file import COVARIANCE, write_covariance
 from stereomate.project.orient_adjust import Adjusted
+from stereomate.project.orient_covariance import covariance_of
 from stereomate.project.orient_inputs import OrientInputs
 from stereomate.project.orient_layers import LAYERS, write_orient_layers
 from stereomate.project.orient_photos import scan_pixels
@@ -76,7 +78,14 @@ def write_results(
         written.append(surface[0])
     if adjusted.has_datum:
         written += [_orientation(out / ORIENTATION, inputs, photos), out / ORIENTED]
-        write_whole(out / ORIENTED, [oriented_project(inputs, adjusted, surface is not None).encode()])
+        pairs = [(pair["left"], pair["right"]) for pair in record["y_parallaxes"]]
+        covariance = covariance_of(adjusted, photos.names, pairs)
+        (out / COVARIANCE).unlink(missing_ok=True)
+        if covariance is not None and inputs.tangent is not None:
+            written.append(out / COVARIANCE)
+            write_covariance(out / COVARIANCE, covariance, inputs.tangent, out / ORIENTATION)
+        project = oriented_project(inputs, adjusted, surface is not None, out / COVARIANCE in written)
+        write_whole(out / ORIENTED, [project.encode()])
     written += _tables(out, inputs, adjusted, photos, record)
     if adjusted.has_datum:
         written.append(write_orient_layers(out / LAYERS, inputs, adjusted, photos, record))
@@ -151,7 +160,9 @@ def _tables(
     return [out / name for name in TABLES]
 
 
-def oriented_project(inputs: OrientInputs, adjusted: Adjusted, own_surface: bool) -> str:
+def oriented_project(
+    inputs: OrientInputs, adjusted: Adjusted, own_surface: bool, has_covariance: bool
+) -> str:
     """A project file of the oriented photographs: `stereomate run` goes on from it.
 
     Everything that the first project file says of terrain and products is kept; paths are absolute.
@@ -166,6 +177,8 @@ def oriented_project(inputs: OrientInputs, adjusted: Adjusted, own_surface: bool
     there = [p for k in adjusted.oriented if (p := inputs.photos[k]).info is not None]
     document["photos"] = {"files": [str(photo.path.resolve()) for photo in there]} if there else {}
     document["photos"] |= {"orientation": ORIENTATION, "angles": "local", "adjusted_in": "space"}
+    if has_covariance:
+        document["photos"]["orientation_covariance"] = COVARIANCE
     if own_surface:
         document["terrain"] = {"file": SURFACE}
     document["camera"] = [
@@ -213,7 +226,7 @@ def absolute_document(file: ProjectFile, folder: Path) -> dict[str, Any]:
 
 
 _PATHS: Final = {
-    "photos": ("files", "orientation"),
+    "photos": ("files", "orientation", "orientation_covariance"),
     "control": ("file", "measurements"),
     "observations": ("files", "points"),
     "orient": ("tie_points",),

@@ -76,9 +76,13 @@ def remake(
     records = [product_record(StereoProduct(job, nothing, out, heights.content_hash)) for job in jobs]
     key = run_key(version=__version__, remade=records, chunk_tiles=options.chunk_tiles)
     try:
-        results = tuple(make_product(job, place, key, options, report) for job in jobs)
+        made = [make_product(job, place, key, options, report) for job in jobs]
     finally:
         close_readers()
+    results = tuple(
+        replace(one, product=replace(one.product, orientation=before.orientation))
+        for one, before in zip(made, products, strict=True)
+    )
     note = f"made anew from {products[0].folder.name} over the height model {heights.name}"
     written: list[Path] = []
     if project is not None and documents is not None:

@@ -257,9 +257,12 @@ def _make_products(
     edited = _edited_seams(project, options)
     planned = planned_mosaics(jobs, place.workspace / "mosaic.json", key, executor, edited)
     report("mosaic", 1, 1)
-    return tuple(
-        replace(make_product(job, place, key, options, report), mosaic=summary) for job, summary in planned
-    )
+    results = []
+    for job, summary in planned:
+        made = make_product(job, place, key, options, report)
+        product = replace(made.product, orientation=project.orientation_covariance)
+        results.append(replace(made, product=product, mosaic=summary))
+    return tuple(results)
 
 
 def _edited_seams(project: Project, options: RunOptions) -> Path | None:

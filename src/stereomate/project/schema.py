@@ -101,6 +101,7 @@ class PhotosSection(OrientationSection):
     files: str | Names = ()
     exclude: Names = ()
     camera: str | None = None
+    orientation_covariance: str | None = None
     compare: OrientationSection | None = None
 
 
@@ -161,6 +162,8 @@ class OrientSection(Section):
     positions: Literal["auto", "exif", "none"] = "auto"
     position_sigma_m: Sigmas | None = None
     attitude_sigma_deg: Sigmas | None = None
+    lever_arm_m: Three = (0.0, 0.0, 0.0)
+    lever_arm_sigma_m: Annotated[float, Field(ge=0)] = 0.0
     calibrate: Literal["auto", "none"] | Calibrated = "auto"
     tie_points: str | None = None
     features: Annotated[int, Field(ge=200, le=100_000)] = 6000
@@ -170,6 +173,8 @@ class OrientSection(Section):
     pairs: Literal["auto", "all"] = "auto"
     significance: Annotated[float, Field(gt=0, lt=0.5)] = 0.001
     power: Annotated[float, Field(gt=0, lt=1)] = 0.80
+    robust: Literal["snooping", "l1", "huber", "none"] = "snooping"
+    variance_components: bool = False
 
 
 class SurfaceSection(Section):

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from stereomate.coverage.covariance import OrientationCovariance
 from stereomate.errors import InputError
 from stereomate.frames.transform import map_from_tangent
 from stereomate.rectify.job import RectifyJob
@@ -26,6 +27,7 @@ from stereomate.stereo.exact import (
 )
 from stereomate.stereo.eyes import checked_positions, require_left_is_left
 from stereomate.stereo.lineage import Lineage
+from stereomate.stereo.orientation_share import covariances_of, orientation_share
 from stereomate.stereo.surface import JobSurface
 from stereomate.terrain.intersection import ground_distances
 
@@ -83,7 +85,8 @@ class MeasureOptions:
         Standard deviation of every measured coordinate in each product, pixels of the product.
     centre_sigma_m, angle_sigma_rad : float
         Standard deviations of projection centres (per axis) and of rotations (about each axis), the same and
-        independent for every photograph; 0 leaves the orientation's share out.
+        independent for every photograph. Both 0: what the product knows of them; their share is left out
+        where it knows nothing.
     check_hidden : bool
         Trace the rays to the height model, to flag ground that it hides from its photograph.
     """
@@ -114,7 +117,8 @@ class Measurement:
         Of `points`, from the noise of the four measured coordinates.
     orientation_covariance : ndarray (n, 3, 3)
         From the orientation of the two photographs: common to all points of a model, so it does not average
-        out. 0 where no accuracy of the orientation was given.
+        out. 0 where no accuracy of the orientation was given; NaN where the product knows that of its
+        photographs, but not how far these two err together.
     law_heights : ndarray (n,)
         Read through the law alone.
     y_parallax_m : ndarray (n,)
@@ -246,8 +250,14 @@ def measure(
     left_xy: ArrayLike,
     right_xy: ArrayLike,
     options: MeasureOptions | None = None,
+    orientation: OrientationCovariance | None = None,
 ) -> Measurement:
     """Points from map positions (n, 2) on the orthophoto and on the stereomate.
+
+    Parameters
+    ----------
+    orientation : OrientationCovariance, optional
+        What is known of the photographs' orientations; used where `options` state nothing.
 
     Raises
     ------
@@ -279,7 +289,11 @@ def measure(
     exact.points[refused] = np.nan
     points, by = _mapped(job, exact.points)
     covariance = by @ exact.covariance @ np.swapaxes(by, 1, 2)
-    orientation = _orientation_covariance(exact, centres, sigma, options)
+    stated = options.centre_sigma_m, options.angle_sigma_rad
+    share = orientation_share(
+        orientation_jacobians(exact, centres, sigma),
+        covariances_of(job, photographs, stated, orientation),
+    )
     flags |= _beside_seams(job, lineage, (left_map, right_map), photographs, options) * ~refused
     flags |= _doubts(job, right, exact, covariance, options) * ~refused
     if options.check_hidden:
@@ -293,7 +307,7 @@ def measure(
     return Measurement(
         points=points,
         covariance=covariance,
-        orientation_covariance=by @ orientation @ np.swapaxes(by, 1, 2),
+        orientation_covariance=by @ share @ np.swapaxes(by, 1, 2),
         law_heights=heights,
         y_parallax_m=np.where(refused, np.nan, left_uv[:, 1] - right_uv[:, 1]) * job.frame.unit_m,
         miss_m=exact.miss,
@@ -362,17 +376,6 @@ def _mapped(job: RectifyJob, points: Floats) -> tuple[Floats, Floats]:
             ends = [map_from_tangent(job.tangent, job.frame, at + s * shift) for s in (1.0, -1.0)]
             by[known, :, k] = (ends[0] - ends[1]) / (2.0 * _STEP_M)
     return out, by
-
-
-def _orientation_covariance(
-    exact: ExactPoints, centres: tuple[Floats, Floats], sigma: tuple[float, ...], options: MeasureOptions
-) -> Floats:
-    variances = np.repeat(np.square([options.centre_sigma_m, options.angle_sigma_rad]), 3)
-    total = np.zeros((len(exact.points), 3, 3))
-    if variances.any():
-        for by in orientation_jacobians(exact, centres, sigma):
-            total += np.einsum("nij,j,nkj->nik", by, variances, by)
-    return total
 
 
 def _hidden(job: RectifyJob, ground: GroundPoints, centres: Floats) -> NDArray[np.bool_]:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stereomate import __version__
+from stereomate.coverage.covariance import OrientationCovariance
 from stereomate.errors import FormatError, InputError
 from stereomate.forms import STEREO
 from stereomate.parallax.laws import ParallaxLaw, law_from_record
@@ -67,6 +68,8 @@ class StereoProduct:
         SHA-256 of the height model the product was made with.
     agreement : mapping or None
         Measured parallaxes, see `stereomate.stereo.agreement`.
+    orientation : OrientationCovariance or None
+        How well the photographs are oriented, along the axes of the job's tangent frame, where it is known.
     """
 
     job: RectifyJob
@@ -74,6 +77,7 @@ class StereoProduct:
     folder: Path
     height_model_hash: str
     agreement: Mapping[str, Any] | None = None
+    orientation: OrientationCovariance | None = None
 
     @classmethod
     def open(cls, path: str | Path, name: str | None = None, *, verify: bool = True) -> StereoProduct:
@@ -147,7 +151,7 @@ class StereoProduct:
         See `stereomate.stereo.measure.measure`.
         """
         lineage = lineage_of(self.job, self.folder / self.files.lineage if self.files.lineage else None)
-        return measuring.measure(self.job, lineage, left_xy, right_xy, options)
+        return measuring.measure(self.job, lineage, left_xy, right_xy, options, self.orientation)
 
     def measure_object(
         self,
@@ -190,7 +194,20 @@ def product_record(product: StereoProduct) -> Record:
         "dtype": str(job.dtype),
         "options": dataclasses.asdict(job.options),
         "agreement": product.agreement,
+        "orientation_covariance": orientation_record(product),
     }
+
+
+def orientation_record(product: StereoProduct) -> Record | None:
+    """Covariances of what one can measure with: a left and a right photograph of any two models."""
+    if product.orientation is None:
+        return None
+    job = product.job
+    names = [photograph.name for photograph in job.photographs]
+    left = {names[model.left] for model in job.models if model.left >= 0}
+    right = {names[model.right] for model in job.models if model.right >= 0}
+    pairs = ((a, b) for a in sorted(left) for b in sorted(right) if a != b)
+    return product.orientation.among(names, pairs).as_record()
 
 
 def _base_record(job: RectifyJob) -> Record | None:
@@ -284,7 +301,9 @@ def _product_from_record(record: Record, folder: Path) -> StereoProduct:
     )
     files = record["files"]
     names = ProductFiles(files["ortho"], files["lineage"], files["mate"], record["sha256"])
-    return StereoProduct(job, names, folder, record["height_model"]["sha256"], record["agreement"])
+    orientation = record["orientation_covariance"]
+    known = None if orientation is None else OrientationCovariance.from_record(orientation)
+    return StereoProduct(job, names, folder, record["height_model"]["sha256"], record["agreement"], known)
 
 
 def _without_nan(value: Any) -> Any:

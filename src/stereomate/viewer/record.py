@@ -11,11 +11,12 @@ from typing import Any, Final
 import numpy as np
 
 from stereomate import __version__
+from stereomate.coverage.covariance import OrientationCovariance
 from stereomate.forms import PAGE
 from stereomate.frames.codes import epsg_code
 from stereomate.frames.transform import map_from_tangent
 from stereomate.rectify.job import RectifyJob
-from stereomate.stereo.product import StereoProduct
+from stereomate.stereo.product import StereoProduct, orientation_record
 from stereomate.viewer.lattice import VALUES, MeasuringLattice
 from stereomate.viewer.layers import layer_size, layer_step
 
@@ -91,6 +92,7 @@ def measuring_record(
     node_rows, node_cols = lattice.values.shape[:2]
     return {
         "datum": lattice.datum,
+        "orientation": _covariances(product),
         "heights": {
             "tile": HEIGHT_TILE,
             "col0": window.col0,
@@ -111,6 +113,19 @@ def measuring_record(
             "values": VALUES,
             "error_m": lattice.error_m,
         },
+    }
+
+
+def _covariances(product: StereoProduct) -> dict[str, Any] | None:
+    """How well the photographs are oriented: (6, 6) matrices by their numbers, of pairs first by second."""
+    record = orientation_record(product)
+    if record is None:
+        return None
+    number = {photograph.name: k for k, photograph in enumerate(product.job.photographs)}
+    known = OrientationCovariance.from_record(record)
+    return {
+        "photographs": [[number[name], matrix.tolist()] for name, matrix in known.photographs.items()],
+        "pairs": [[number[a], number[b], matrix.tolist()] for (a, b), matrix in known.pairs.items()],
     }
 
 

@@ -6,6 +6,7 @@ import { Lattice } from './measure/lattice.js';
 import { HeightTiles } from './measure/heights.js';
 import { Surface } from './measure/surface.js';
 import { groundOfOrthophoto, mapOfPixel, measurePoint, pixelOfMap } from './measure/exact.js';
+import { orientationOf } from './measure/orientation.js';
 
 export class Product {
   constructor(record, folder) {
@@ -18,6 +19,7 @@ export class Product {
     this.lineageTiles = new Map();
     this.lineagePending = new Map();
     this.surface = null;
+    this.orientation = null;
   }
 
   static async open(folder) {
@@ -31,6 +33,7 @@ export class Product {
     ]).then(([record, values]) => {
       Object.assign(this.record, record);
       this.datum = record.datum;
+      this.orientation = orientationOf(record.orientation);
       const lattice = new Lattice(this.record.lattice, values);
       const tiles = new HeightTiles(this.record.heights, this.folder, this.version);
       this.surface = new Surface(this.record, lattice, tiles, this.law);

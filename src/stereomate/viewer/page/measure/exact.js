@@ -3,6 +3,7 @@
 // millimetre (tested).
 
 import { mapped } from './mapped.js';
+import { covarianceOfPair, orientationCovariance } from './orientation.js';
 import { chordsOf, isBlocked, windowsOf } from './sight.js';
 import { cross, dot, intersectTwoRays, inverse, minus, plus, times, transpose } from './linear.js';
 
@@ -103,24 +104,6 @@ export function intersectGrounds(left, right, centres, sigma) {
   return { point: met.point, depths: met.depths, miss: raw.miss, standardized, covariance, parts };
 }
 
-// Covariance of a point by the orientations of its photographs: standard deviations of centres (metres, each
-// axis) and of rotations (radians, about each axis), all independent of one another.
-export function orientationCovariance(met, centres, sigma, orientation) {
-  const total = [[0, 0, 0], [0, 0, 0], [0, 0, 0]];
-  centres.forEach((centre, k) => {
-    // an image of A is that of A - dO - theta x (A - O) under the orientation in use
-    const gain = times(met.covariance, transpose(met.parts[k])).map((line) => line.map((v) => v / sigma ** 2));
-    const moved = times(gain, met.parts[k]).map((line) => line.map((v) => -v));
-    const [x, y, z] = minus(met.point, centre);
-    const turned = times(moved, [[0, -z, y], [z, 0, -x], [-y, x, 0]]);
-    for (const [by, deviation] of [[moved, orientation.centre], [turned, orientation.angle]]) {
-      const part = times(by, transpose(by));
-      for (let i = 0; i < 3; i++) for (let j = 0; j < 3; j++) total[i][j] += part[i][j] * deviation ** 2;
-    }
-  });
-  return total;
-}
-
 // Easting and northing (first and second map axis) of a product position, and grid axes.
 export function mapOfPixel(grid, col, row) {
   const u = grid.u0 + col * grid.gsd, v = grid.v0 - row * grid.gsd;
@@ -182,9 +165,11 @@ export function measurePoint(product, left, right, accuracy) {
   result.sigma = result.covariance
     ? [0, 1, 2].map((k) => Math.sqrt(result.covariance[k][k])) : [NaN, NaN, NaN];
   if (met.covariance) {
-    const share = orientationCovariance(met, centres, sigma, accuracy);
-    result.orientationCovariance = covarianceOnMap(grid, at.by, share);
-    result.orientationSigma = [0, 1, 2].map((k) => Math.sqrt(result.orientationCovariance[k][k]));
+    const pair = covarianceOfPair(product.orientation, shown, accuracy);
+    const share = pair && orientationCovariance(met, centres, sigma, pair);
+    result.orientationCovariance = share && covarianceOnMap(grid, at.by, share);
+    result.orientationSigma = share && [0, 1, 2].map((k) => Math.sqrt(result.orientationCovariance[k][k]));
+    result.orientationUnknown = !pair && Boolean(product.orientation);
   }
   result.flags |= doubts(product, groundR, result, sigmaPx, shown);
   [groundL, groundR].forEach((ground, k) => {

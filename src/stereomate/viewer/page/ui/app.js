@@ -66,6 +66,7 @@ export class App {
     await pictured;
     try {
       await this.product.loadSurface();
+      $('sigma-known').hidden = !this.product.orientation;
       await this.product.loadRelief();
       this.renderer.setRelief(this.product.relief.parallaxes(), this.product.layers);
       this.#settle();

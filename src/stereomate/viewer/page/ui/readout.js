@@ -28,6 +28,8 @@ export class Readout {
         ['Height', element('strong', { id: 'height' }, fixed(found.point[2], 3) + sigma[2])]);
       if (found.orientationSigma?.some((s) => s > 0)) {
         rows.push(['of the orientation', found.orientationSigma.map((s) => `±\u00a0${fixed(s, 3)}`).join(', ')]);
+      } else if (found.orientationUnknown) {
+        rows.push(['of the orientation', 'not known for these two photographs']);
       }
       rows.push([product.datum, degreesText(found.degrees)]);
     } else rows.push(['', element('span', { className: 'flag' }, 'Cannot be measured here')]);
