@@ -16,7 +16,7 @@ from run_survey import make, raster, write_tiny
 
 from stereomate.cli import main
 from stereomate.dense.epipolar import epipolar_pair
-from stereomate.errors import ProjectError
+from stereomate.errors import ImageError, ProjectError
 from stereomate.measurement.fiducial_marks import MarkTemplate, drawn_mark
 from stereomate.project import load
 from stereomate.project.interior import interior_of_project
@@ -315,3 +315,73 @@ def test_marks_of_real_films_in_rendered_film_photographs(data_folder: Path, tmp
             for mark, (col, row, _) in scan.marks.items():
                 truth = lying(upright_pixel(np.array(MARKS[mark])), *way)
                 np.testing.assert_allclose([col, row], truth, atol=0.2, err_msg=f"{film} {mark}")
+
+
+LAB = "houston_film/photo-lab"
+HOUSTON = """
+[project]
+name = "houston"
+crs = "EPSG:32615"
+heights = "undeclared"
+
+[[camera]]
+name = "film"
+size_px = [20480, 20480]
+principal_distance_mm = 153.358
+pixel_pitch_mm = 0.0119
+
+[camera.fiducials]
+marks = {{ {marks} }}
+transform = "{kind}"
+measured = "marks.csv"
+
+[photos]
+
+[orient]
+tie_points = "ties.txt"
+calibrate = "none"
+"""
+
+
+@pytest.mark.real
+def test_photographs_known_by_measurements_alone(data_folder: Path, tmp_path: Path) -> None:
+    """Marks and six points of a model, measured in a comparator: interior and relative orientation.
+
+    Expected are the affine parameters that the laboratory printed; a projective one is refused.
+    """
+
+    def cells(path: str) -> list[list[str]]:
+        text = (data_folder / path).read_text(encoding="utf-8")
+        return [line.split() for line in text.splitlines() if line.strip()]
+
+    marks = ", ".join(f'"{n}" = [{x}, {y}]' for n, x, y in cells(f"{LAB}1/data/dec_1_027-known.txt"))
+    # Rows are counted negative downwards there.
+    rows = [
+        f"{n},0{p},{x},{-float(y)}"
+        for p in (27, 28)
+        for n, x, y in cells(f"{LAB}1/data/dec_1_0{p}-observed.txt")
+    ]
+    (tmp_path / "marks.csv").write_text("\n".join(["mark,photograph,col,row", *rows]), encoding="utf-8")
+    rows = [
+        f"{n} 0{p} {x} {-float(y)} 1.0"
+        for p in (27, 28)
+        for n, x, y in cells(f"{LAB}3/data/image_{p}_obs.txt")
+    ]
+    (tmp_path / "ties.txt").write_text("\n".join(rows), encoding="utf-8")
+    path = tmp_path / "project.toml"
+    path.write_text(HOUSTON.format(marks=marks, kind="affine"), encoding="utf-8")
+    with pytest.raises(SystemExit) as end:
+        main.run(["interior", str(path), "-o", str(tmp_path / "out"), "-q"])
+    assert end.value.code in (0, None)
+    (one, two) = json.loads((tmp_path / "out" / "interior.json").read_text())["scans"]
+    (a, b, _), (c, d, _), _ = one["photo_from_pixel"]
+    assert [f"{v:.10f}" for v in (a, -b, c, -d)] == [
+        "0.0118994263", "0.0000002998", "-0.0000013405", "0.0119012647",
+    ]  # fmt: skip
+    assert [f"{v:.4f}" for v in (*one["rms_mm"], *two["rms_mm"])] == ["0.0062", "0.0049", "0.0049", "0.0047"]
+    record = orient(path, tmp_path / "orient").record
+    assert record["summary"]["oriented"] == 2
+    assert record["summary"]["redundancy"] == 1
+    path.write_text(HOUSTON.format(marks=marks, kind="projective"), encoding="utf-8")
+    with pytest.raises(ImageError, match=r"similarity or affine.*transform = \"affine\""):
+        orient(path, tmp_path / "orient")

@@ -26,6 +26,9 @@ def _interior(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Folder of the results [default: beside the project].")
     ] = None,
+    residuals: Annotated[
+        bool, typer.Option("--residuals", help="Print transformation and residuals of every mark.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
     """Find the fiducial marks of film in its scans, and orient the scans by them.
@@ -42,6 +45,9 @@ def _interior(
         print_json([scan.as_record() for scan in scans])
     elif settings.verbosity >= 0:
         _print(scans, marks)
+        if residuals:
+            for scan in scans:
+                _print_residuals(scan)
 
 
 def _print(scans: list[Scan], marks: Path) -> None:
@@ -86,3 +92,22 @@ def _print(scans: list[Scan], marks: Path) -> None:
                 markup=False,
             )
     out.print(f'Marks are in {marks}: measured = "{marks.name}" in [camera.fiducials]', markup=False)
+
+
+def _print_residuals(scan: Scan) -> None:
+    """The transformation from pixels (rows downwards) to the photo system, and what it leaves of marks."""
+    found = scan.interior
+    if found is None:
+        return
+    out = console()
+    rows: list[tuple[str, ...]] = []
+    for name, (dx, dy) in zip(found.names, found.residuals_mm.tolist(), strict=True):
+        x, y = found.photo_from_pixel.apply(scan.marks[name][:2]).tolist()
+        rows.append((name, f"{x + dx:.3f}", f"{y + dy:.3f}", f"{dx:+.4f}", f"{dy:+.4f}"))
+    rows.append(("rms", "", "", *(f"{v:.4f}" for v in found.rms_mm)))
+    heads = ("mark", "x, mm", "y, mm", "residual x, mm", "residual y, mm")
+    out.print(table(f"{scan.photo.name}: {found.photo_from_pixel.kind}", heads, rows))
+    for label, values in zip(("x", "y", "divisor"), found.photo_from_pixel.matrix, strict=True):
+        if label != "divisor" or values[:2] != (0.0, 0.0):
+            a, b, c = values
+            out.print(f"  {label} = {a:+.10f} column {b:+.10f} row {c:+.6f}", markup=False)

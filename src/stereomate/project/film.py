@@ -124,6 +124,7 @@ class Film:
                 file=photo,
                 field="camera.fiducials.transform",
                 value=self.section.transform,
+                hint='transform = "affine"; stereomate interior states the residuals of any',
             ) from error
         return replace(
             camera,

@@ -107,7 +107,8 @@ class Scan:
 def interior_of_project(path: str | Path, progress: Callable[[int, int], None] | None = None) -> list[Scan]:
     """Interior orientations of all film photographs of a project.
 
-    Marks that the project states are taken as they are; in all other scans they are looked for.
+    Marks that the project states are taken as they are; in all other scans they are looked for. Without
+    `photos.files` the photographs are those whose marks are stated.
 
     Raises
     ------
@@ -123,7 +124,10 @@ def interior_of_project(path: str | Path, progress: Callable[[int, int], None] |
         raise ProjectError("must have a [camera.fiducials]: there is no film", file=path, field="camera")
     cameras = cameras_of(file, path, [])
     tell = progress or (lambda done, total: None)
-    photos = photo_files(file.photos.files, file.photos.exclude, path.parent, path)
+    if file.photos.files:
+        photos = photo_files(file.photos.files, file.photos.exclude, path.parent, path)
+    else:
+        photos = _of_measured_marks(films, path)
     scans = []
     for k, photo in enumerate(photos):
         tell(k, len(photos))
@@ -133,6 +137,15 @@ def interior_of_project(path: str | Path, progress: Callable[[int, int], None] |
             scans.append(_scan(photo, films[name], section, cameras[name], path))
     tell(len(photos), len(photos))
     return _settled(scans, films, file, path)
+
+
+def _of_measured_marks(films: dict[str, Film], path: Path) -> tuple[Path, ...]:
+    """Photographs by the names that tables of marks give them."""
+    names = sorted({name for film in films.values() for name in film.measured})
+    if not names:
+        hint = "or camera.fiducials.measured: marks can be judged without the scans"
+        raise ProjectError("must be given", file=path, field="photos.files", hint=hint)
+    return tuple(Path(name) for name in names)
 
 
 def write_interior(scans: list[Scan], out: Path) -> tuple[Path, Path]:
