@@ -68,7 +68,7 @@ def test_misstated_standard_deviations_are_found(block, robust):
     named = {(g.kind, g.row) for g in result.gross_errors if g.kind != "image"}
     assert gross <= named
     assert len(named - gross) <= 1
-    # With what was fitted it is nearly the adjustment that had been stated rightly: weights are known to 10 %.
+    # With what was fitted it is nearly the adjustment of right statements: weights are known to 10 %.
     right = adjust_block(block)
     assert np.abs(result.centres - right.centres).max() < right.statistics.photo_sigma[:, :3].max()
     np.testing.assert_allclose(result.statistics.photo_sigma, right.statistics.photo_sigma, rtol=0.25)

@@ -33,7 +33,7 @@ def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_control_points_alone_place_the_block_and_check_points_tell_how_well(
     survey: Path, tmp_path: Path
 ) -> None:
-    """No positions: eight control points, one without height, one with swapped x and y; four check points."""
+    """No positions: eight control points, one without height, and four check points; one of each swapped."""
     shutil.copytree(survey.parent, tmp_path / "copy")
     path = tmp_path / "copy" / survey.name
     truth = load(survey)
@@ -53,7 +53,7 @@ def test_control_points_alone_place_the_block_and_check_points_tell_how_well(
     rows = ["name,x,y,z,role"]
     for k, (x, y, z) in enumerate(xyz):
         height = "" if k == 5 else f"{z:.3f}"
-        x, y = (y, x) if k == 7 else (x, y)
+        x, y = (y, x) if k in (7, 8) else (x, y)
         rows.append(f"g{k},{x:.3f},{y:.3f},{height},{'check' if k >= 8 else 'xy' if k == 5 else 'control'}")
     (path.parent / "gcp.csv").write_text("\n".join(rows), encoding="utf-8")
     (path.parent / "gcp_px.csv").write_text("\n".join(measured), encoding="utf-8")
@@ -75,7 +75,11 @@ def test_control_points_alone_place_the_block_and_check_points_tell_how_well(
         for finding in record["findings"]
     )
     check = record["control"]["check"]
-    assert check["count"] == 4
+    # The one with swapped coordinates is named and does not spoil what the others say.
+    assert check["count"] == 3
+    assert check["apart"] == ["g8"]
+    assert [point["name"] for point in check["points"]] == ["g8", "g9", "g10", "g11"]
+    assert any("check point g8 contradicts the block" in finding for finding in record["findings"])
     # The pixel of this camera is half a metre on the ground.
     assert max(check["rms_m"]) < 0.5
     found = load(tmp_path / "out" / "oriented.toml").survey

@@ -6,9 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from measured_block import MeasuredBlock, measured_block
+from measured_block import FRAME, MeasuredBlock, measured_block
 
 from stereomate.errors import HeightSystemError, ProjectError
+from stereomate.frames.attitude import AttitudeConvention, object_from_camera
+from stereomate.frames.tangent import TangentFrame
+from stereomate.frames.transform import map_from_tangent, tangent_from_map
 from stereomate.project import load
 from stereomate.project.orient import orient
 
@@ -38,6 +41,33 @@ def test_measurements_and_positions_orient_the_block(block: MeasuredBlock, tmp_p
     # Nothing to make products of, but a flight to judge.
     survey = load(tmp_path / "out" / "oriented.toml", planned=True).survey
     assert [photo.name for photo in survey.photographs] == sorted(block.names)
+
+
+def test_antenna_is_not_the_camera_and_what_was_stated_of_it_is_fitted(
+    block: MeasuredBlock, tmp_path: Path
+) -> None:
+    """An antenna half a metre off, stated four times as bad as it is; errors met by the sum of residuals."""
+    convention = AttitudeConvention("opk", "local", "deg")
+    tangent = TangentFrame.at_map(FRAME, block.centres.mean(axis=0))
+    centres = tangent_from_map(tangent, FRAME, block.centres)
+    rotations = object_from_camera(block.opk_deg, convention, tangent, centres, None)
+    arm = (0.4, -0.2, 0.5)
+    antenna = map_from_tangent(tangent, FRAME, centres + rotations @ np.array(arm))
+    antenna += np.random.default_rng(1).normal(0.0, 0.05, antenna.shape)
+    keys = f"""position_sigma_m = [0.2, 0.2, 0.2]
+lever_arm_m = {list(arm)}
+robust = "l1"
+variance_components = true
+"""
+    record = orient(block.write(tmp_path, positions=antenna, orient=keys), tmp_path / "out").record
+    order = [block.names.index(entry["name"]) for entry in record["photographs"]]
+    found = np.array([entry["position"] for entry in record["photographs"]])
+    assert np.abs(found - block.centres[order]).max() < 0.25
+    (fitted,) = [line for line in record["findings"] if "variance components" in line and "fitted" in line]
+    factor = float(fitted.split("positions plan ")[1].split()[0])
+    assert 0.12 < factor < 0.5
+    sigma = np.array([entry["standard_deviation_m"] for entry in record["photographs"]])
+    assert np.abs((found - block.centres[order]) / sigma).max() < 4.5
 
 
 def test_names_points_seen_once_and_points_outside_are_said(block: MeasuredBlock, tmp_path: Path) -> None:

@@ -72,6 +72,10 @@ class BlockData:
         NaN for unknown.
     attitude_sigma : (float, float, float) or None
         Radians; None: not observed.
+    lever_arm_m : (float, float, float)
+        From the projection centre to the place that `positions` tell, camera axes.
+    lever_arm_sigma_m : float
+        0: it is right.
     tie_names : tuple of str or None
         Of the tie points, by their numbers; None: t0, t1, ...
     """
@@ -89,6 +93,8 @@ class BlockData:
     attitudes: Array
     attitude_sigma: tuple[float, float, float] | None
     tie_names: tuple[str, ...] | None = None
+    lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    lever_arm_sigma_m: float = 0.0
 
     def camera(self, photo: int) -> Camera:
         """Camera of a photograph."""
@@ -226,7 +232,13 @@ def _positions(data: BlockData, photos: Integers) -> Positions | None:
     if not len(known):
         return None
     sigma = np.broadcast_to(np.array(data.position_sigma_m), (len(known), 3))
-    return Positions(known, data.positions[photos[known]], sigma)
+    return Positions(
+        known,
+        data.positions[photos[known]],
+        sigma,
+        np.array(data.lever_arm_m),
+        lever_arm_sigma=data.lever_arm_sigma_m,
+    )
 
 
 def _attitudes(data: BlockData, photos: Integers) -> Attitudes | None:

@@ -14,6 +14,7 @@ from stereomate.block.adjustment import BlockAdjustment, adjust_block
 from stereomate.block.options import BlockOptions, TestOptions
 from stereomate.block.orient_network import NOMINAL, Assembled, BlockData, assemble
 from stereomate.block.start import KnownPoints
+from stereomate.block.variance import estimate_variance_components
 from stereomate.camera.model import Camera
 from stereomate.errors import NotDeterminedError
 from stereomate.project.orient_heights import height_findings
@@ -95,7 +96,7 @@ def adjust_measured(
     findings = [*measured.findings, *screened.findings, *height_findings(inputs, measured)]
     at, left_out = _taking_part(inputs, measured, findings)
     options = BlockOptions(
-        robust="snooping",
+        robust=inputs.file.orient.robust,
         tests=TestOptions(inputs.file.orient.significance, inputs.file.orient.power),
     )
     automatic = inputs.file.orient.calibrate == "auto"
@@ -122,6 +123,8 @@ def adjust_measured(
     if automatic and at.has_datum and any(wanted.values()):
         data, assembled, result = _more_parameters(data, wanted, at, options, (assembled, result), findings)
     assembled, result = without_undetermined(data, at, options, (assembled, result), left_out)
+    if inputs.file.orient.variance_components:
+        assembled, result = _with_components(assembled, result, findings)
     undetermined = [data.names[k] for k in sorted(left_out) if left_out[k] == UNDETERMINED]
     if undetermined:
         findings.append(f"photographs left out, {UNDETERMINED}: {', '.join(undetermined)}")
@@ -187,6 +190,27 @@ def _moved(at: Approximate, assembled: Assembled, result: BlockAdjustment) -> Ap
     known = np.isfinite(adjusted[:, 0])
     points[assembled.ties[known]] = adjusted[known]
     return Approximate(centres, rotations, points, at.has_datum)
+
+
+def _with_components(
+    assembled: Assembled, result: BlockAdjustment, findings: list[str]
+) -> tuple[Assembled, BlockAdjustment]:
+    """Adjusted with standard deviations fitted to each kind of observations; what they became is named."""
+    start = replace(result.adjusted_network(), cameras=result.network.cameras)
+    found = estimate_variance_components(start, result.options)
+    parts = [
+        f"{c.group} {c.factor:.2f} (redundancy {c.redundancy:.0f})"
+        for c in found.components
+        if c.factor != 1.0
+    ]
+    words = "standard deviations fitted to the residuals (variance components), factors: " + ", ".join(parts)
+    if not found.converged:
+        words += "; the fit did not settle"
+    small = [c.group for c in found.components if c.factor == 1.0]
+    if small:
+        words += f"; too few observations to tell: {', '.join(small)}"
+    findings.append(words)
+    return replace(assembled, network=found.adjustment.network), found.adjustment
 
 
 def _image_factor(assembled: Assembled, result: BlockAdjustment) -> float:
@@ -381,6 +405,8 @@ def _block_data(inputs: OrientInputs, measured: Measured) -> BlockData:
         inputs.positions.attitudes,
         inputs.positions.attitude_sigma,
         measured.tie_names,
+        inputs.file.orient.lever_arm_m,
+        inputs.file.orient.lever_arm_sigma_m,
     )
 
 

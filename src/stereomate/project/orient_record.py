@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate import __version__
-from stereomate.block.statistics import Reliability
 from stereomate.forms import ORIENTATION
 from stereomate.frames.attitude import AttitudeConvention, written_from_axes
 from stereomate.frames.transform import map_from_tangent
 from stereomate.project.orient_adjust import Adjusted
 from stereomate.project.orient_compare import comparisons, findings_of
+from stereomate.project.orient_control_record import control_record, number, numbers
 from stereomate.project.orient_expected import expected_accuracy, expected_finding
 from stereomate.project.orient_inputs import OrientInputs, heights_are_verified
 from stereomate.project.orient_measure import Measured
@@ -72,7 +72,7 @@ def adjustment_record(
     """Everything of `adjustment.json`; no times, so that a run repeated gives the same bytes."""
     result = adjusted.result
     expected = expected_accuracy(measured, adjusted)
-    comparison, control = comparisons(inputs, adjusted), _control(inputs, adjusted)
+    comparison, control = comparisons(inputs, adjusted), control_record(inputs, adjusted)
     x, y = result.rms_px
     used = result.used
     rays = np.bincount(result.network.image.photo[used], minlength=len(photos.names))
@@ -91,11 +91,11 @@ def adjustment_record(
             "observations": result.observations,
             "unknowns": result.unknowns,
             "redundancy": result.redundancy,
-            "sigma0": _number(result.sigma0),
+            "sigma0": number(result.sigma0),
             "global_test": None if result.test is None else vars(result.test),
             "converged": result.converged,
             "iterations": result.iterations,
-            "image_rms_px": {"columns": _number(x), "rows": _number(y)},
+            "image_rms_px": {"columns": number(x), "rows": number(y)},
             "gross_errors": len(result.gross_errors),
         },
         "findings": [
@@ -127,8 +127,8 @@ def adjustment_record(
             {
                 "kind": error.kind,
                 "place": error.place,
-                "size": [_number(v) for v in error.size],
-                "standardized": _number(error.standardized),
+                "size": [number(v) for v in error.size],
+                "standardized": number(error.standardized),
                 "in_doubt": error.in_doubt,
             }
             for error in result.gross_errors
@@ -217,9 +217,9 @@ def _cameras(adjusted: Adjusted) -> list[dict[str, Any]]:
         for name, value in zip(camera.parameter_names, camera.parameters, strict=True):
             k = place.get(f"{camera.name}: {name}")
             parameters[name] = {
-                "value": _number(value),
-                "standard_deviation": None if k is None else _number(sigma[k]),
-                "prior": _number(entry.free.get(name, math.nan)),
+                "value": number(value),
+                "standard_deviation": None if k is None else number(sigma[k]),
+                "prior": number(entry.free.get(name, math.nan)),
                 "found": k is not None,
             }
         cameras.append({"name": camera.name, "size_px": list(camera.size_px), "parameters": parameters})
@@ -234,12 +234,12 @@ def _photographs(adjusted: Adjusted, photos: OrientedPhotos, rays: NDArray[np.in
         {
             "name": name,
             "camera": photos.cameras[k],
-            "position": _numbers(photos.positions[k]),
-            "omega_phi_kappa_deg": _numbers(photos.opk_deg[k]),
-            "standard_deviation_m": _numbers(sigma[k, :3]),
-            "standard_deviation_deg": _numbers(np.degrees(sigma[k, 3:])),
+            "position": numbers(photos.positions[k]),
+            "omega_phi_kappa_deg": numbers(photos.opk_deg[k]),
+            "standard_deviation_m": numbers(sigma[k, :3]),
+            "standard_deviation_deg": numbers(np.degrees(sigma[k, 3:])),
             "image_points": int(rays[k]),
-            "image_rms_px": _number(math.sqrt(square[k])),
+            "image_rms_px": number(math.sqrt(square[k])),
         }
         for k, name in enumerate(photos.names)
     ]
@@ -272,72 +272,15 @@ def _positions(inputs: OrientInputs, adjusted: Adjusted) -> dict[str, Any] | Non
     return {
         "source": inputs.positions.source,
         "sigma_m": list(inputs.positions.sigma_m),
-        "rms_m": _numbers(rms),
-        "rms_plan_m": _number(float(np.hypot(rms[0], rms[1]))),
-        "mean_m": _numbers(np.nanmean(part.residuals, axis=0)),
+        "rms_m": numbers(rms),
+        "rms_plan_m": number(float(np.hypot(rms[0], rms[1]))),
+        "mean_m": numbers(np.nanmean(part.residuals, axis=0)),
         "residuals": [
-            {"name": names[photo], "residual_m": _numbers(part.residuals[k]),
-             "standardized": _numbers(part.standardized[k]), "redundancy": _numbers(part.redundancy[k])}
+            {"name": names[photo], "residual_m": numbers(part.residuals[k]),
+             "standardized": numbers(part.standardized[k]), "redundancy": numbers(part.redundancy[k])}
             for k, photo in enumerate(observed.photo.tolist())
         ],
     }  # fmt: skip
-
-
-def _control(inputs: OrientInputs, adjusted: Adjusted) -> dict[str, Any] | None:
-    result = adjusted.result
-    observed = result.network.control
-    if observed is None or inputs.control is None:
-        return None
-    statistics = result.statistics
-    part = statistics.control if statistics is not None else None
-    sigma = statistics.point_sigma if statistics is not None else None
-    record: dict[str, Any] = {}
-    assert observed.check is not None  # filled in by the network
-    residual = observed.xyz - result.points[observed.point]
-    given = _given(inputs, observed.xyz)
-    for kind, rows in (
-        ("control", np.flatnonzero(~observed.check)),
-        ("check", np.flatnonzero(observed.check)),
-    ):
-        with np.errstate(invalid="ignore"):
-            rms = [
-                _number(math.sqrt(float(np.mean(v**2)))) if (v := c[np.isfinite(c)]).size else None
-                for c in residual[rows].T
-            ]
-        record[kind] = {
-            # Those that took part: what was left out has no residual.
-            "count": int(np.isfinite(residual[rows]).any(axis=1).sum()),
-            "rms_m": rms,
-            "points": [
-                {**_control_point(result, observed, part, sigma, residual, k), "given": given[k]}
-                for k in rows.tolist()
-            ],
-        }
-    return record
-
-
-def _given(inputs: OrientInputs, xyz: Array) -> list[list[float | None]]:
-    """Given coordinates of points in the map; nothing for one that is not known in all three."""
-    out = np.full(xyz.shape, math.nan)
-    known = np.isfinite(xyz).all(axis=1)
-    if inputs.tangent is not None and known.any():
-        out[known] = map_from_tangent(inputs.tangent, inputs.frame, xyz[known])
-    return [_numbers(row) for row in out]
-
-
-def _control_point(
-    result: Any, observed: Any, part: Reliability | None, sigma: Array | None, residual: Array, k: int
-) -> dict[str, Any]:
-    point = int(observed.point[k])
-    return {
-        "name": result.network.points.names[point],
-        "residual_m": _numbers(residual[k]),
-        "sigma_m": _numbers(np.where(np.isfinite(observed.sigma[k]), observed.sigma[k], math.nan)),
-        "standard_deviation_m": None if sigma is None else _numbers(sigma[point]),
-        "standardized": None if part is None else _numbers(part.standardized[k]),
-        "redundancy": None if part is None else _numbers(part.redundancy[k]),
-        "rays": int(np.count_nonzero(result.network.image.point[result.used] == point)),
-    }
 
 
 def y_parallaxes(adjusted: Adjusted, names: Sequence[str]) -> list[dict[str, Any]]:
@@ -367,7 +310,7 @@ def y_parallaxes(adjusted: Adjusted, names: Sequence[str]) -> list[dict[str, Any
             good = parallax[np.isfinite(parallax)]
             if good.size:
                 record.append({"left": names[a], "right": names[b], "points": int(good.size),
-                               "rms_px": _number(math.sqrt(float(np.mean(good**2))))})  # fmt: skip
+                               "rms_px": number(math.sqrt(float(np.mean(good**2))))})  # fmt: skip
     return record
 
 
@@ -385,13 +328,3 @@ def _across_epipolar(adjusted: Adjusted, a: int, b: int, pixels: Array, points: 
     with np.errstate(invalid="ignore", divide="ignore"):
         along /= np.linalg.norm(along, axis=1, keepdims=True)
     return np.column_stack([-along[:, 1], along[:, 0]])
-
-
-def _number(value: float) -> float | None:
-    """Rounded far below what matters, so that the last bits do not reach a file."""
-    value = float(value)
-    return float(f"{value:.10g}") if math.isfinite(value) else None
-
-
-def _numbers(values: Array) -> list[float | None]:
-    return [_number(v) for v in np.asarray(values).ravel().tolist()]
