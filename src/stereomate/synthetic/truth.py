@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.raster.windows import Window
-from stereomate.rectify.ground import ground_of, heights_of, mate_positions, shown_ground
+from stereomate.rectify.ground import Ground, ground_of, heights_of, mate_positions, shown_ground
 from stereomate.rectify.job import RectifyJob
 from stereomate.rectify.kernels.warp import warp
 from stereomate.rectify.serving import Pixels, camera_nodes
@@ -83,9 +83,8 @@ def warp_error(
             break
         window = _random_window(job, rng)
         spots = np.stack([rng.integers(0, window.rows, 60), rng.integers(0, window.cols, 60)], axis=-1)
-        for p in sorted(sides):
-            errors.append(_errors_in_window(survey, job, product, p, window, spots))
-            total += len(errors[-1])
+        errors.append(_errors_in_window(survey, job, product, sorted(sides), window, spots))
+        total += len(errors[-1])
     found = np.concatenate([*errors, np.empty((0, 2))])
     if len(found) == 0:
         return WarpError(0, float("nan"), float("nan"))
@@ -104,27 +103,28 @@ def _errors_in_window(
     survey: SyntheticSurvey,
     job: RectifyJob,
     product: Product,
-    p: int,
+    photographs: list[int],
     window: Window,
     spots: NDArray[np.int64],
 ) -> Array:
-    """Differences (n, 2) at pixels (row, col) of a window that photograph `p` sees."""
-    used, valid = product_positions(job, product, p, window)
-    used, there = used[spots[:, 0], spots[:, 1]], valid[spots[:, 0], spots[:, 1]]
-    pixels = spots[there][:, ::-1] + np.array([window.col0 + 0.5, window.row0 + 0.5])
-    if len(pixels) == 0:
-        return np.empty((0, 2))
+    """Differences (n, 2) at pixels (row, col) of a window, in every photograph that sees them."""
+    shown = _shown_ground(job, product, window)
+    pixels = spots[:, ::-1] + np.array([window.col0 + 0.5, window.row0 + 0.5])
     ground = pixels if product == "orthophoto" else true_mate_ground(survey, job, pixels)
     points = survey.world.on_ground(job.grid.map_from_pixel(ground))
-    exact, inside = survey.project(survey.survey.index(job.photographs[p].name), points)
-    # near the border one may be inside and the other not
-    return np.asarray((used[there] - exact)[inside])
+    errors = [np.empty((0, 2))]
+    for p in photographs:
+        used, valid = _positions(job, shown, p)
+        there = valid[spots[:, 0], spots[:, 1]]
+        if there.any():
+            exact, inside = survey.project(survey.survey.index(job.photographs[p].name), points[there])
+            # near the border one may be inside and the other not
+            errors.append((used[spots[there, 0], spots[there, 1]] - exact)[inside])
+    return np.concatenate(errors)
 
 
-def product_positions(
-    job: RectifyJob, product: Product, p: int, window: Window
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Photograph positions (rows, cols, 2) that the product uses in a window, and where it has any."""
+def _shown_ground(job: RectifyJob, product: Product, window: Window) -> tuple[Ground, Pixels, Array]:
+    """Ground of a window, the ground positions its pixels show, and the nodes of all photographs."""
     if product == "orthophoto":
         ground = ground_of(job, window)
         columns = np.arange(window.cols, dtype=np.float32)[None, :] + np.float32(0.5)
@@ -132,18 +132,27 @@ def product_positions(
     else:
         ground = shown_ground(job, window)
         columns, heights, _ = mate_positions(job, window, ground)
+    nodes = np.empty(0) if ground.is_void else camera_nodes(job, ground)
+    return ground, Pixels(window, columns, heights), nodes
+
+
+def _positions(
+    job: RectifyJob, shown: tuple[Ground, Pixels, Array], p: int
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Photograph positions (rows, cols, 2) that a product uses in a window, and where it has any."""
+    ground, pixels, nodes = shown
+    window = pixels.window
     shape = (window.rows, window.cols)
     positions, valid = np.zeros((*shape, 2)), np.zeros(shape, dtype=np.uint8)
     if ground.is_void:
         return positions, valid != 0
-    pixels = Pixels(window, columns, heights)
     camera = job.photographs[p].camera
     code, parameters = camera.kernel_parameters()
     middle = (camera.size_px[0] // 2, camera.size_px[1] // 2)
     map_x, map_y = np.empty(shape, np.float32), np.empty(shape, np.float32)
     lattice = ground.lattice
     warp(
-        pixels.columns, pixels.heights, np.empty((0, 0), np.uint16), 1, camera_nodes(job, ground)[p],
+        pixels.columns, pixels.heights, np.empty((0, 0), np.uint16), 1, nodes[p],
         lattice.col0 - window.col0, lattice.row0, lattice.step, float(window.row0), code, parameters, 1.0,
         float(middle[0]), float(middle[1]), map_x, map_y, valid,
     )  # fmt: skip
