@@ -8,6 +8,7 @@ same positions (3 mm at 75 m).
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ import numpy as np
 import rasterio
 from numpy.typing import NDArray
 
-from benchmarks.processes import Usage, in_turn, median, median_ratio, peer_command, timed
+from benchmarks.processes import Usage, in_turn, median, median_ratio, peer_command, timed, timed_in_memory
 
 SIZE = (11000, 9000)
 CELL = 5.0
@@ -29,6 +30,8 @@ CRS = "+proj=tmerc +lat_0=0 +lon_0=25 +k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m +
 COMPARED_PX = 1500
 RUNS = int(os.environ.get("STEREOMATE_BENCH_RUNS", "3"))
 FOLDER = Path(os.environ.get("STEREOMATE_BENCH_FOLDER", "bench-results/orthophoto"))
+# The large output takes minutes and 8 GB of disk: once, and only on request.
+LARGE = os.environ.get("STEREOMATE_BENCH_LARGE", "") not in ("", "0")
 STEREOMATE = str(Path(sys.executable).with_name("stereomate"))
 
 
@@ -217,7 +220,33 @@ def run() -> list[dict[str, Any]]:
                     "note": compared(folder) if aligned[0] in theirs_extra and figure == "wall" else "",
                 }
             )
-    return rows + stereo_rows(folder)
+    return rows + stereo_rows(folder) + (large_rows(folder) if LARGE else [])
+
+
+def large_rows(folder: Path) -> list[dict[str, Any]]:
+    """The same photograph at a third of its GSD: an output ten times larger, ours alone."""
+    text = (folder / "bilinear_zstd.toml").read_text()
+    (folder / "large.toml").write_text(text.replace(f"gsd = {GSD}", f"gsd = {GSD / 10**0.5:.6f}"))
+    found = []
+    for project in ("bilinear_zstd.toml", "large.toml"):
+        command = [STEREOMATE, "-q", "run", str(folder / project), "-o", str(folder / "large")]
+        usage = timed_in_memory([*command, "--ortho-only", "--fresh"])
+        with rasterio.open(folder / "large" / "ortho.tif") as file:
+            found.append((usage, file.width * file.height / 1e6))
+    shutil.rmtree(folder / "large")
+    (small, small_mpix), (large, large_mpix) = found
+    name = f"output of {large_mpix:.0f} Mpix against {small_mpix:.0f} Mpix, both ours"
+    note = "once; goal under 500 MB"
+    per_mpix = (1e3 * large.cpu / large_mpix, 1e3 * small.cpu / small_mpix)
+    return [
+        _row(f"{name}: peak_mb", large.peak_mb, small.peak_mb, "MB", note),
+        _row(f"{name}: CPU per Mpix", *per_mpix, "CPU ms", "once"),
+        _row(f"{name}: wall", large.wall, small.wall, "s", "once"),
+    ]
+
+
+def _row(name: str, ours: float, peer: float, unit: str, note: str) -> dict[str, Any]:
+    return {"name": name, "ours": ours, "peer": peer, "ratio": ours / peer, "unit": unit, "note": note}
 
 
 def stereo_rows(folder: Path) -> list[dict[str, Any]]:
