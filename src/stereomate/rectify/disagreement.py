@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from stereomate.raster import Window
 from stereomate.rectify.layout import StereoModel
-from stereomate.rectify.overviews import Overviews
+from stereomate.rectify.overviews import Overviews, intersection, slices_within
 
 Floats32 = NDArray[np.float32]
 Bools = NDArray[np.bool_]
@@ -103,18 +103,16 @@ def disagreement(
         numbers = getattr(first, eye), getattr(second, eye)
         if min(numbers) < 0:
             continue
-        pixels = []
-        for k, p in enumerate(numbers):
-            values, valid = photograph_of(overviews, p, window)
-            shown[k] &= valid
-            pixels.append(values * np.float32(scale))
-        if numbers[0] == numbers[1]:
-            continue
-        both = (
-            photograph_of(overviews, numbers[0], window)[1] & photograph_of(overviews, numbers[1], window)[1]
-        )
-        c, q = _compared(pixels[0], pixels[1], both)
-        colour, parallax = np.maximum(colour, c), np.maximum(parallax, q)
+        for seen, p in zip(shown, numbers, strict=True):
+            overview = overviews.photographs[p]
+            seen &= False if overview is None else overview.shows(window)
+        if numbers[0] != numbers[1]:
+            box, *compared = _compared(overviews, (min(numbers), max(numbers)), scale)
+            common = intersection(box, window)
+            if not common.is_empty:
+                here, there = slices_within(common, window), slices_within(common, box)
+                for greatest, values in zip((colour, parallax), compared, strict=True):
+                    np.maximum(greatest[here], values[there], out=greatest[here])
     return Disagreement(colour, parallax, _walls(overviews, window), shown[0], shown[1])
 
 
@@ -128,7 +126,29 @@ def photograph_of(overviews: Overviews, p: int, window: Window) -> tuple[NDArray
     return pixels.astype(np.float32), valid
 
 
-def _compared(a: Floats32, b: Floats32, both: Bools) -> tuple[Floats32, Floats32]:
+def _compared(overviews: Overviews, pair: tuple[int, int], scale: float) -> tuple[Window, Floats32, Floats32]:
+    """Difference in colour and parallax of two photographs over the cells that both may show.
+
+    Kept: a seam is looked for several times, and each time asks about another part of them.
+    """
+    found = overviews.compared.get(pair)
+    if found is None:
+        a, b = (overviews.photographs[p] for p in pair)
+        empty = np.zeros((0, 0), np.float32)
+        found = Window(0, 0, 0, 0), empty, empty
+        if a is not None and b is not None:
+            box = intersection(a.window, b.window)
+            if not box.is_empty:
+                found = box, *_compared_pixels(a.within(box), b.within(box), scale)
+        overviews.compared[pair] = found
+    return found
+
+
+def _compared_pixels(
+    first: tuple[NDArray[Any], Bools], second: tuple[NDArray[Any], Bools], scale: float
+) -> tuple[Floats32, Floats32]:
+    a, b = (pixels.astype(np.float32) * np.float32(scale) for pixels, _ in (first, second))
+    both = first[1] & second[1]
     difference = np.abs(a - b).max(axis=2)
     difference[~both] = 0.0
     share = cv2.blur(both.astype(np.float32), (_SMOOTHING, _SMOOTHING))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -61,10 +61,18 @@ class PhotoOverview:
         valid = np.zeros((window.rows, window.cols), np.bool_)
         common = intersection(self.window, window)
         if not common.is_empty:
-            mine, there = _slices(common, self.window), _slices(common, window)
+            mine, there = slices_within(common, self.window), slices_within(common, window)
             pixels[there] = self.pixels[mine]
             valid[there] = self.valid[mine]
         return pixels, valid
+
+    def shows(self, window: Window) -> Bools:
+        """Validity alone, as `within`."""
+        valid = np.zeros((window.rows, window.cols), np.bool_)
+        common = intersection(self.window, window)
+        if not common.is_empty:
+            valid[slices_within(common, window)] = self.valid[slices_within(common, self.window)]
+        return valid
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +91,8 @@ class Overviews:
         Ground, in the height system of the law.
     centres : (photographs, 3)
         Projection centres in cells (column, row) and their height.
+    compared : dict
+        Pairs of photographs that have been compared (`rectify.disagreement`): seams ask for them often.
     """
 
     job: RectifyJob
@@ -90,6 +100,7 @@ class Overviews:
     photographs: tuple[PhotoOverview | None, ...]
     heights: Floats32
     centres: Floats
+    compared: dict[tuple[int, int], tuple[Window, Floats32, Floats32]] = field(default_factory=dict)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -108,7 +119,7 @@ class Overviews:
             at = overview.positions * (np.asarray(size) / _POSITION)
             factor = np.exp(-balance.logarithm(p, at, size)).astype(np.float32)
             done.append(replace(overview, pixels=overview.pixels * factor))
-        return replace(self, photographs=tuple(done))
+        return replace(self, photographs=tuple(done), compared={})
 
 
 def intersection(a: Window, b: Window) -> Window:
@@ -117,7 +128,7 @@ def intersection(a: Window, b: Window) -> Window:
     return Window(col0, row0, max(min(a.col1, b.col1) - col0, 0), max(min(a.row1, b.row1) - row0, 0))
 
 
-def _slices(window: Window, within: Window) -> tuple[slice, slice]:
+def slices_within(window: Window, within: Window) -> tuple[slice, slice]:
     row, col = window.row0 - within.row0, window.col0 - within.col0
     return slice(row, row + window.rows), slice(col, col + window.cols)
 
@@ -154,7 +165,7 @@ def make_overviews(job: RectifyJob, executor: Executor | None = None, cells: int
     heights = np.full((rows, cols), np.nan, np.float32)
     parts: list[list[PhotoOverview]] = [[] for _ in coarse.photographs]
     for window, (ground, found) in zip(windows, blocks, strict=True):
-        heights[_slices(window, Window(0, 0, cols, rows))] = ground
+        heights[slices_within(window, Window(0, 0, cols, rows))] = ground
         for p, overview in found:
             parts[p].append(overview)
     photographs = tuple(_assembled(part) if part else None for part in parts)
@@ -169,7 +180,7 @@ def _assembled(parts: list[PhotoOverview]) -> PhotoOverview:
     pixels = np.zeros((*shape, parts[0].pixels.shape[2]), parts[0].pixels.dtype)
     valid, positions = np.zeros(shape, np.bool_), np.zeros((*shape, 2), np.uint16)
     for part in parts:
-        at = _slices(part.window, whole)
+        at = slices_within(part.window, whole)
         pixels[at], valid[at], positions[at] = part.pixels, part.valid, part.positions
     return PhotoOverview(whole, pixels, valid, positions)
 
