@@ -98,7 +98,7 @@ class StereoProduct:
         FormatError
             If the file is damaged, has no such product, or a raster was edited or resampled since.
         InputError
-            If the height model is not the one that the product was made with.
+            If the height model is not the one that the product was made with, or not there.
         """
         path = Path(path)
         path = path / "stereo.json" if path.is_dir() else path
@@ -123,6 +123,12 @@ class StereoProduct:
         FormatError, InputError
             As `open`.
         """
+        if self.job.heights.path is not None and not self.job.heights.path.is_file():
+            raise InputError(
+                "must be there: every point is measured over the height model that the product was made with",
+                file=self.job.heights.path,
+                field="height_model.file",
+            )
         if self.job.heights.content_hash != self.height_model_hash:
             raise InputError(
                 "must be the height model that the product was made with: another one falsifies every point",
