@@ -136,7 +136,8 @@ def _by_similarity(places: Places) -> Datum:
 
 def _by_vertical(places: Places, plan: Mask, rotations: Array, stated: Array | None) -> Datum:
     """Levelled by stated angles or the mean axis, then turned, scaled and moved in plan, then lifted."""
-    note = f"the {places.kind} lie on a line or lack heights: they leave a tilt open, and "
+    what = "control points" if places.kind == "control" else "positions"
+    note = f"the {what} lie on a line or lack heights: they leave a tilt open, and "
     levels = [] if stated is None else _by_stated_angles(rotations, stated)
     if not levels:
         turn, scale = _in_plan(places, plan, _levelling(rotations))

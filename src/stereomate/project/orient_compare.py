@@ -10,7 +10,7 @@ import numpy as np
 
 from stereomate.block.adjustment import BlockAdjustment
 from stereomate.block.in_grid import GridComparison, Method, compare_in_grid
-from stereomate.block.network import BlockCamera, Network
+from stereomate.block.network import BlockCamera, Control, Network
 from stereomate.block.systematic import find_systematic_shift
 from stereomate.block.variance import components_of
 from stereomate.errors import NotDeterminedError, StereomateError
@@ -45,7 +45,7 @@ def comparisons(inputs: OrientInputs, adjusted: Adjusted) -> dict[str, Any]:
     if not adjusted.has_datum or tangent is None or frame.is_geographic:
         return found
     level = MapFrame(frame.crs, HeightSystem.ellipsoidal())
-    # What the tests took out is put back: a shift of all positions is what makes single control points wrong.
+    # Most of the control taken out is put back: a shift of all positions is what makes it wrong.
     # A principal distance that is found too takes a shift of the heights into itself: it is held meanwhile.
     shift = _shift(_with_given(result, adjusted.result.network), tangent, level)
     if shift is not None:
@@ -88,13 +88,25 @@ def without_gross_errors(result: BlockAdjustment) -> BlockAdjustment:
 
 
 def _with_given(result: BlockAdjustment, given: Network) -> BlockAdjustment:
-    """With control and positions as they were given, and principal distances held as they were found."""
+    """With principal distances held as they were found, and control as given if most of it was taken out."""
     cameras = tuple(
         BlockCamera(camera, {name: sigma for name, sigma in entry.free.items() if name != _C})
         for camera, entry in zip(result.cameras, result.network.cameras, strict=True)
     )
-    network = replace(result.network, cameras=cameras, control=given.control, positions=given.positions)
+    network = replace(result.network, cameras=cameras)
+    if _mostly_out(result.network.control, given.control):
+        network = replace(network, control=given.control, positions=given.positions)
     return replace(result, network=network)
+
+
+def _mostly_out(control: Control | None, given: Control | None) -> bool:
+    """Whether the tests took more control than they left: then it may be the positions that are wrong."""
+    if control is None or given is None:
+        return False
+    assert given.check is not None  # filled in by the network
+    known = np.isfinite(given.sigma) & ~given.check[:, None]
+    out = (known & ~np.isfinite(control.sigma)).any(axis=1)
+    return 2 * int(out.sum()) > int(known.any(axis=1).sum())
 
 
 def _shift(result: BlockAdjustment, tangent: TangentFrame, frame: MapFrame) -> dict[str, Any] | None:

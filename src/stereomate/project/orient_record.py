@@ -29,6 +29,8 @@ _OPK: Final = AttitudeConvention("opk", "local", "deg")
 _TURNED: Final = math.radians(20.0)
 # Part of the positions that single gross errors do not reach.
 _MANY: Final = 0.1
+# Of a list in a finding; all are in the tables.
+_NAMED: Final = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +102,7 @@ def adjustment_record(
         },
         "findings": [
             *findings_of(comparison),
-            *_lost_positions(adjusted),
+            *_taken_out(adjusted),
             *_height_findings(inputs, adjusted),
             *_turned(inputs, adjusted),
             *adjusted.findings,
@@ -165,15 +167,32 @@ def _height_findings(inputs: OrientInputs, adjusted: Adjusted) -> list[str]:
     return [text]
 
 
-def _lost_positions(adjusted: Adjusted) -> list[str]:
-    """Many positions taken out are no single errors."""
-    observed = adjusted.result.network.positions
-    lost = sorted({e.place for e in adjusted.result.gross_errors if e.kind == "positions"})
-    if observed is None or len(lost) <= max(3.0, _MANY * len(observed.photo)):
-        return []
-    text = f"{len(lost)} of {len(observed.photo)} positions contradict the rest and were taken out: "
-    text += "a strip with a shift of its own, or a parameter of the camera that takes it in? "
-    return [text + ", ".join(lost[:8])]
+def _taken_out(adjusted: Adjusted) -> list[str]:
+    """Control, positions and attitudes that the tests took out, with their sizes."""
+    result = adjusted.result
+    found = []
+    for kind, words in (
+        ("control", "control points"),
+        ("positions", "positions"),
+        ("attitudes", "attitudes"),
+    ):
+        errors = [error for error in result.gross_errors if error.kind == kind]
+        if not errors:
+            continue
+        unit = "rad" if kind == "attitudes" else "m"
+        listed = "; ".join(
+            f"{error.place} {', '.join('-' if np.isnan(v) else f'{v:+.3g}' for v in error.size)} {unit}"
+            for error in errors[:_NAMED]
+        )
+        places = len({error.place for error in errors})
+        text = f"{places} {words} contradict the rest and were taken out, wholly or in part: {listed}"
+        if places > _NAMED:
+            text += f" and {len(errors) - _NAMED} more"
+        observed = result.network.positions
+        if kind == "positions" and observed is not None and places > max(3.0, _MANY * len(observed.photo)):
+            text += "; so many are no single errors: a strip with a shift of its own, or a camera parameter?"
+        found.append(text)
+    return found
 
 
 def _turned(inputs: OrientInputs, adjusted: Adjusted) -> list[str]:
