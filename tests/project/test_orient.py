@@ -14,6 +14,7 @@ import pyogrio
 import pytest
 import shapely
 import tifffile
+from report_schema import require_reportable
 from run_survey import write_tiny
 
 from stereomate.errors import FormatError, NotDeterminedError, ProjectError
@@ -48,6 +49,7 @@ def whole(survey: Path, tmp_path_factory: pytest.TempPathFactory) -> OrientResul
 
 
 def test_rendered_photographs_are_oriented_to_the_truth(survey: Path, whole: OrientResult) -> None:
+    require_reportable(whole.record)
     summary = whole.record["summary"]
     assert summary["oriented"] == summary["photographs"] == 6
     assert summary["converged"]

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from report_schema import require_reportable
 from run_survey import write_tiny
 
 from stereomate.errors import CrsError, HeightSystemError, ProjectError, StereomateError
@@ -118,6 +119,7 @@ def block(survey: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path,
     record = orient(path, folder / "out").record
     assert not [line for line in record["findings"] if line.startswith(("control", "positions"))]
     assert record["control"]["control"]["count"] == 8
+    require_reportable(record)
     return path, xyz[:8]
 
 

@@ -86,7 +86,7 @@ def run_record(result: RunResult, found: Findings, made: Mapping[str, Any]) -> d
             "requirements": [j.as_record() for j in found.judged],
             "check_points": None if found.checked is None else found.checked.as_record(),
         },
-        "orientation": None if found.adjustment is None else _orientation(found.adjustment),
+        "orientation": None if found.adjustment is None else orientation_part(found.adjustment),
         "homogeneity": [
             {"product": part.product, "object_heights": [s.as_record() for s in part.summaries]}
             for part in found.homogeneity
@@ -143,7 +143,8 @@ _OF_ADJUSTMENT: Final = (
 )
 
 
-def _orientation(adjustment: Mapping[str, Any]) -> dict[str, Any]:
+def orientation_part(adjustment: Mapping[str, Any]) -> dict[str, Any]:
+    """What the report holds of an adjustment.json."""
     return {key: adjustment[key] for key in _OF_ADJUSTMENT}
 
 
