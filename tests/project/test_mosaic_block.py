@@ -20,7 +20,8 @@ from stereomate.rectify.overviews import _BlockTask, coarse_job
 from stereomate.rectify.radiometry import TABLE_NODES
 from stereomate.rectify.seams import seams_record
 from stereomate.stereo.lineage import LineageRule
-from stereomate.stereo.measure import Flag, measure
+from stereomate.stereo.measure import measure
+from stereomate.stereo.measured import Flag
 from stereomate.synthetic.files import write_survey
 from stereomate.synthetic.options import SurveyOptions
 from stereomate.synthetic.render import light_of_photograph

@@ -17,7 +17,8 @@ from stereomate.rectify.planning import Request, plan_products
 from stereomate.rectify.task import ChunkTask, product_profile
 from stereomate.stereo.exact import ground_of_stereomate
 from stereomate.stereo.lineage import LineageRule
-from stereomate.stereo.measure import Flag, measure
+from stereomate.stereo.measure import measure
+from stereomate.stereo.measured import Flag
 from stereomate.stereo.surface import JobSurface
 from stereomate.synthetic.options import SurveyOptions
 from stereomate.synthetic.survey import make_survey

@@ -24,7 +24,8 @@ from stereomate.stereo.homogeneity import (
 )
 from stereomate.stereo.kernels.homogeneity import trace_window
 from stereomate.stereo.lineage import LineageRule
-from stereomate.stereo.measure import MeasureOptions, measure
+from stereomate.stereo.measure import measure
+from stereomate.stereo.measured import MeasureOptions
 from stereomate.synthetic.survey import make_survey
 from stereomate.terrain.kernels.sight import sight_bounds
 from stereomate.terrain.model import HeightModel

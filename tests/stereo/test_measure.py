@@ -11,7 +11,8 @@ from scipy.stats import chi2
 
 from stereomate.errors import InputError
 from stereomate.stereo.lineage import LineageRule
-from stereomate.stereo.measure import Flag, MeasureOptions, ObjectHeights, measure
+from stereomate.stereo.measure import measure
+from stereomate.stereo.measured import Flag, MeasureOptions, ObjectHeights
 from stereomate.synthetic.survey import make_survey
 from stereomate.terrain.model import HeightModel
 
@@ -205,6 +206,18 @@ def test_a_wrong_pair_is_flagged(true_product):
     moved = right[:5] + np.array([0.0, 6.0 * job.grid.gsd])
     found = measure(job, LineageRule(job), left[:5], moved)
     assert (found.flags & int(Flag.MISSED)).all()
+
+
+def test_photographs_from_one_place_have_no_base(true_product):
+    job, _, _, left, right, _ = true_product
+    first, *others = job.photographs
+    same = tuple(
+        replace(p, orientation=replace(p.orientation, centre=first.orientation.centre)) for p in others
+    )
+    found = measure(replace(job, photographs=(first, *same)), LineageRule(job), left[:5], right[:5])
+    assert (found.flags & int(Flag.NO_BASE)).all()
+    assert not found.measured.any()
+    assert np.isnan(found.points).all()
 
 
 def test_a_fold_is_flagged(survey):

@@ -26,7 +26,8 @@ from stereomate.errors import FormatError
 from stereomate.frames.tangent import TangentFrame
 from stereomate.geometry.rotations import rotation_from_vector
 from stereomate.stereo.lineage import LineageRule
-from stereomate.stereo.measure import MeasureOptions, measure
+from stereomate.stereo.measure import measure
+from stereomate.stereo.measured import MeasureOptions
 from stereomate.synthetic.survey import make_survey
 
 CAMERA = Camera.from_pixel_pitch("c", (6000, 4000), 24.0, 0.004)

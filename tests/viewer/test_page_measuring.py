@@ -9,7 +9,7 @@ import pytest
 from browsing import SURVEY, serving
 
 from stereomate.coverage.covariance import OrientationCovariance
-from stereomate.stereo.measure import Flag, MeasureOptions
+from stereomate.stereo.measured import Flag, MeasureOptions
 from stereomate.stereo.product import StereoProduct
 from stereomate.terrain.model import HeightModel
 from stereomate.viewer.site import Site

@@ -12,7 +12,7 @@ from stereomate.cli.output import console, print_json, table
 from stereomate.cli.settings import Settings
 
 if TYPE_CHECKING:
-    from stereomate.stereo.measure import Measurement
+    from stereomate.stereo.measured import Measurement
 
 
 def register(app: typer.Typer) -> None:
@@ -43,7 +43,7 @@ def _measure(
     import math
 
     from stereomate.formats.measured_pairs import read_measured_pairs, write_points
-    from stereomate.stereo.measure import MeasureOptions
+    from stereomate.stereo.measured import MeasureOptions
     from stereomate.stereo.product import StereoProduct
 
     settings: Settings = context.obj

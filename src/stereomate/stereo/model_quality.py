@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.stereo.agreement import Agreement
-from stereomate.stereo.measure import MeasureOptions
+from stereomate.stereo.measured import MeasureOptions
 from stereomate.stereo.product import StereoProduct
 
 Floats = NDArray[np.float64]

@@ -27,9 +27,10 @@ from stereomate.rectify.job import RectifyJob
 from stereomate.rectify.options import RectifyOptions
 from stereomate.rectify.radiometry import balance_from_record, balance_record
 from stereomate.rectify.seams import seams_from_record, seams_record
-from stereomate.stereo import measure as measuring
 from stereomate.stereo import record as rec
 from stereomate.stereo.lineage import lineage_of
+from stereomate.stereo.measure import measure
+from stereomate.stereo.measured import Measurement, MeasureOptions, ObjectHeights
 
 Record = dict[str, Any]
 
@@ -150,23 +151,23 @@ class StereoProduct:
                     )
 
     def measure(
-        self, left_xy: ArrayLike, right_xy: ArrayLike, options: measuring.MeasureOptions | None = None
-    ) -> measuring.Measurement:
+        self, left_xy: ArrayLike, right_xy: ArrayLike, options: MeasureOptions | None = None
+    ) -> Measurement:
         """Exact points from map positions (n, 2) on the orthophoto and on the stereomate.
 
         See `stereomate.stereo.measure.measure`.
         """
         lineage = lineage_of(self.job, self.folder / self.files.lineage if self.files.lineage else None)
-        return measuring.measure(self.job, lineage, left_xy, right_xy, options, self.orientation)
+        return measure(self.job, lineage, left_xy, right_xy, options, self.orientation)
 
     def measure_object(
         self,
         foot: tuple[ArrayLike, ArrayLike],
         top: tuple[ArrayLike, ArrayLike],
-        options: measuring.MeasureOptions | None = None,
-    ) -> measuring.ObjectHeights:
+        options: MeasureOptions | None = None,
+    ) -> ObjectHeights:
         """Heights of objects, exact and through the law: foot and top as (left_xy, right_xy)."""
-        return measuring.ObjectHeights(self.measure(*foot, options), self.measure(*top, options))
+        return ObjectHeights(self.measure(*foot, options), self.measure(*top, options))
 
 
 def product_record(product: StereoProduct) -> Record:

@@ -14,6 +14,8 @@ export const FLAGS = {
   OUTSIDE: 1, NODATA: 2, NO_BASE: 4, OTHER_MODEL: 8, FOLD: 16, UNCERTAIN: 32, MISSED: 64, BEHIND: 128, HIDDEN: 256,
   SEAM: 512,
 };
+// Two centres nearer to each other than this share of the distance to the ground have no base.
+const NO_BASE = 1e-3;
 const REFUSED = FLAGS.OUTSIDE | FLAGS.NODATA | FLAGS.NO_BASE | FLAGS.BEHIND;
 export const REASONS = {
   [FLAGS.OUTSIDE]: 'outside the product',
@@ -149,6 +151,11 @@ export function measurePoint(product, left, right, accuracy) {
   if (isRefused(flags)) return result;
   const sigma = sigmaPx * grid.gsd;
   const centres = shown.map((k) => photographs[k].centre);
+  const length = (a, b) => Math.hypot(...minus(a, b));
+  if (length(centres[0], centres[1]) < NO_BASE * length(groundL.point, centres[0])) {
+    result.flags |= FLAGS.NO_BASE;
+    return result;
+  }
   const met = intersectGrounds(groundL, groundR, centres, sigma);
   if (!met || !met.depths.every((d) => d > 0)) {
     result.flags |= FLAGS.BEHIND;
