@@ -28,6 +28,7 @@ from stereomate.raster import open_photo
 from stereomate.raster.pyramid import open_pyramid
 from stereomate.stereo.product import StereoProduct
 from stereomate.stereo.surface_bands import ABOVE, BANDS, JUMP, SIGMA
+from stereomate.viewer import server
 from stereomate.viewer.binary import decode_floats, encode_floats
 from stereomate.viewer.imagery import Stretch, TileReader, stretch_of
 from stereomate.viewer.kept import Kept
@@ -243,6 +244,22 @@ def test_headers_and_other_hosts(address):
 
 
 @pytest.mark.slow
+def test_files_that_were_changed_end_the_server(tmp_path, monkeypatch):
+    """They are compared while one looks: the page is there first, and the command says what is wrong."""
+    monkeypatch.setattr(server, "CHECK_AFTER_S", 0.3)
+    (tmp_path / "index.html").write_text("page")
+    answers = []
+
+    def check():
+        answers.append(urllib.request.urlopen(address[0]).read())
+        raise FormatError("was edited", file="ortho.tif")
+
+    address: list[str] = []
+    with pytest.raises(FormatError, match="was edited"):
+        server.serve(PublishedFolder(tmp_path), 0, address.append, check)
+    assert answers == [b"page"]
+
+
 def test_fifty_clients_at_once_and_some_that_drop(address, site):
     folders = ("ortho/", "mate/", "lineage/")
     names = [name for name in site.names() if name[len("data/0/") :].startswith(folders)][:9]

@@ -41,7 +41,10 @@ def _view(
     angle_sigma: AngleSigma = 0.0,
     surface: ObjectSurface = None,
     verify: Annotated[
-        bool, typer.Option("--verify/--no-verify", help="Compare hashes of rasters and height model.")
+        bool,
+        typer.Option(
+            "--verify/--no-verify", help="Compare hashes of rasters and height model, while one looks."
+        ),
     ] = True,
 ) -> None:
     """See a stereo-orthophoto in the browser and measure in it. Ctrl-C ends it."""
@@ -71,9 +74,10 @@ def _view(
         centre_sigma,
         angle_sigma,
     )
-    site = open_site(product, name, options, verify)
+    site = open_site(product, name, options, verify=False)
     try:
         site.prepare()
-        serve(KeptSite(site), port, ready)
+        # reading gigabytes through takes longer than anybody waits for a picture: it is done beside
+        serve(KeptSite(site), port, ready, site.verify if verify else None)
     finally:
         site.close()

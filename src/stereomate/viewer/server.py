@@ -6,6 +6,8 @@ import contextlib
 import logging
 import mimetypes
 import socket
+import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final, Protocol
@@ -18,7 +20,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from stereomate.errors import ImageError, InputError, StorageError
+from stereomate.errors import ImageError, InputError, StereomateError, StorageError
 
 LOG = logging.getLogger(__name__)
 
@@ -40,6 +42,8 @@ _MEDIA: Final = {
 _HOSTS: Final = ["localhost", "127.0.0.1", "[::1]"]
 # Requests that are still answered when the server is told to end, seconds.
 _LEAVE_S: Final = 2
+# What a check of large files may not take from the first picture, seconds.
+CHECK_AFTER_S: Final = 4.0
 
 
 class Files(Protocol):
@@ -106,7 +110,12 @@ def _headers() -> dict[str, str]:
     }
 
 
-def serve(files: Files, port: int = 0, ready: Callable[[str], None] | None = None) -> None:
+def serve(
+    files: Files,
+    port: int = 0,
+    ready: Callable[[str], None] | None = None,
+    check: Callable[[], None] | None = None,
+) -> None:
     """Serve on loopback until interrupted.
 
     Parameters
@@ -115,11 +124,15 @@ def serve(files: Files, port: int = 0, ready: Callable[[str], None] | None = Non
         0 takes a free one.
     ready : callable, optional
         Called with the address once the port is taken.
+    check : callable, optional
+        Called in a thread of its own when the first picture has had its time; what it raises ends the server.
 
     Raises
     ------
     InputError
         If the port is taken by another program.
+    StereomateError
+        Of `check`.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as listener:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -140,6 +153,21 @@ def serve(files: Files, port: int = 0, ready: Callable[[str], None] | None = Non
         )
         if ready is not None:
             ready(address)
+        server, failed = uvicorn.Server(config), list[StereomateError]()
+
+        def look() -> None:
+            time.sleep(CHECK_AFTER_S)
+            try:
+                if check is not None:
+                    check()
+            except StereomateError as error:
+                failed.append(error)
+                server.should_exit = True
+
+        # one who leaves does not wait for it
+        threading.Thread(target=look, daemon=True).start()
         # the server ends in peace and then hands the interruption on: here it is how one leaves
         with contextlib.suppress(KeyboardInterrupt):
-            uvicorn.Server(config).run(sockets=[listener])
+            server.run(sockets=[listener])
+    if failed:
+        raise failed[0]

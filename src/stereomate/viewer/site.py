@@ -334,6 +334,17 @@ class Site:
         for source in self.sources:
             source.read("product.json")
 
+    def verify(self) -> None:
+        """Compare hashes of rasters and height models.
+
+        Raises
+        ------
+        FormatError, InputError
+            As `StereoProduct.verify`.
+        """
+        for source in self.sources:
+            source.product.verify()
+
     def _list(self) -> dict[str, Any]:
         jobs = [source.product.job for source in self.sources]
         return {
