@@ -45,3 +45,6 @@ def test_the_national_survey_is_as_accurate_as_the_page_says(tmp_path, data_fold
         measured = [*agreement[key]["median_px"], *agreement[key]["nmad_px"]]
         assert values == pytest.approx(measured, abs=0.006)
         assert matches == agreement[key]["count"]
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    (row,) = (line for line in readme.splitlines() if "two frames of a national survey" in line)
+    assert [float(n) for n in re.findall(r"[-+]?\d+\.\d+", row)] == pytest.approx(measured, abs=0.006)
