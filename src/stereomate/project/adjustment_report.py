@@ -212,7 +212,12 @@ def orientation_facts(record: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("σ0", f"{number_text(summary['sigma0'], '{:.3f}')}, redundancy {summary['redundancy']}"),
     ]
     if test is not None:
-        word = "passed" if test["passed"] else "failed, σ0 differs from 1"
+        better = test["statistic"] < test["lower"]
+        word = (
+            "passed"
+            if test["passed"]
+            else f"failed, observations {'better' if better else 'worse'} than stated"
+        )
         facts.append(
             ("Global test", f"{word}: {test['statistic']:.0f} in {test['lower']:.0f} to {test['upper']:.0f}")
         )
