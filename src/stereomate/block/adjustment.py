@@ -181,18 +181,21 @@ def adjust_block(
         out = {}
     solution = run_loop(without(network, out), options, width=width, progress=progress)
     gross: tuple[GrossError, ...] = ()
+    statistics: Statistics | None = None
     if searching:
-        solution, gross = snoop(network, options, solution, progress, out)
+        solution, gross, statistics = snoop(network, options, solution, progress, out)
         width = math.inf
-    statistics = None
+        statistics = statistics if options.statistics else None
     notes = list(solution.notes)
     if out:
         notes.append(screening_note(network, out))
-    if options.statistics:
+    if options.statistics and statistics is None:
         try:
             statistics = statistics_of(solution, options, width)
         except NotDeterminedError as error:
             notes.append(str(error))
+    # The equations are as large as all the rest, and no longer needed.
+    solution = replace(solution, linearised=None)
     return _result(network, options, solution, statistics, gross, tuple(notes))
 
 

@@ -5,14 +5,22 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.block.datum import Defect, find_defect, held, onto_start
-from stereomate.block.equations import Equations, build, camera_arrays, factor, solve, workspace_of
+from stereomate.block.equations import (
+    Equations,
+    Factored,
+    build,
+    camera_arrays,
+    factor,
+    solve,
+    workspace_of,
+)
 from stereomate.block.kernels.projection import residuals as kernel_residuals
 from stereomate.block.network import Network
 from stereomate.block.options import BlockOptions
@@ -36,6 +44,15 @@ _PHOTO_UNKNOWNS: Final = ("X0", "Y0", "Z0", "rotation x", "rotation y", "rotatio
 
 
 @dataclass(frozen=True, eq=False)
+class Linearised:
+    """Equations and their factor, with the width of Huber's loss they were built with."""
+
+    equations: Equations
+    factored: Factored
+    width: float
+
+
+@dataclass(frozen=True, eq=False)
 class Solution:
     """Where the loop ended.
 
@@ -53,6 +70,8 @@ class Solution:
     lonely : ndarray of bool, shape (n,)
         Photographs that too few observations determine; they keep their start.
     notes : tuple of str
+    linearised : Linearised or None
+        The equations of the last step, where the state is still theirs.
     """
 
     prepared: Prepared
@@ -65,6 +84,7 @@ class Solution:
     defect: Defect
     lonely: Mask
     notes: tuple[str, ...]
+    linearised: Linearised | None = field(default=None, repr=False)
 
     @property
     def used(self) -> Mask:
@@ -157,12 +177,13 @@ def run_loop(
     first = replace(first, points=fixed_axes_applied(prepared, first.points))
     loop = _Loop(prepared, start, first, options, width, progress)
     loop.run()
-    final = loop.state
+    final, linearised = loop.state, loop.linearised
     if defect.size:
+        linearised = None
         final = onto_start(final, start, defect, np.bincount(prepared.point, minlength=len(final.points)) > 0)
     return Solution(
         loop.prepared, start, final, loop.cost, loop.iterations, loop.damped, loop.converged, defect, lonely,
-        (*notes, *loop.notes),
+        (*notes, *loop.notes), linearised,
     )  # fmt: skip
 
 
@@ -242,6 +263,7 @@ class _Loop:
         self.converged = False
         self.singular = ""
         self.notes: list[str] = []
+        self.linearised: Linearised | None = None
 
     def run(self) -> None:
         """Iterate to the end; what could not be reached is noted."""
@@ -282,6 +304,8 @@ class _Loop:
             self.state = moved(self.state, self.prepared.layout, step.photos, step.points, step.shared)
             if is_end:
                 self.converged = True
+                # The step that is left is next to nothing: what follows from the equations holds at its end.
+                self.linearised = Linearised(equations, factored, self.width)
                 self.cost -= step.promised if math.isinf(self.width) else 0.0
                 break
             self.singular = self.singular if was_singular else ""

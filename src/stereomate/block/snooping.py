@@ -286,7 +286,7 @@ def snoop(
     solution: Solution,
     progress: Progress | None = None,
     out: Mapping[Key, float] | None = None,
-) -> tuple[Solution, tuple[GrossError, ...]]:
+) -> tuple[Solution, tuple[GrossError, ...], Statistics | None]:
     """Take gross errors out of a robust solution.
 
     Parameters
@@ -305,6 +305,8 @@ def snoop(
         Least squares without them.
     gross : tuple of GrossError
         The largest first.
+    statistics : Statistics or None
+        Of that solution; None where nothing could be searched.
     """
     search = _Search(network, options, out or {})
     try:
@@ -315,7 +317,8 @@ def snoop(
             statistics = statistics_of(solution, options, options.huber_width)
             search.remove(statistics, search.scale(statistics))
     except NotDeterminedError:
-        return solution, ()
+        return solution, (), None
+    done = False
     for _ in range(_PASSES):
         try:
             solution, statistics = _adjusted(search, solution, progress)
@@ -332,7 +335,8 @@ def snoop(
     else:
         search.take_back()
     solution = replace(solution, notes=(*solution.notes, *search.notes()))
-    return solution, errors_of(search.network, solution, statistics, search.used, search.out, search.in_doubt)
+    gross = errors_of(search.network, solution, statistics, search.used, search.out, search.in_doubt)
+    return solution, gross, statistics if done else None
 
 
 def _adjusted(search: _Search, solution: Solution, progress: Progress | None) -> tuple[Solution, Statistics]:

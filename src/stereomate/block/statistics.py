@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from stereomate.block.equations import Factored, build, factor
+from stereomate.block.equations import Equations, Factored, build, factor
 from stereomate.block.freedom import inner_constraints
 from stereomate.block.kernels import blocks
 from stereomate.block.kernels import covariance as kernels
@@ -207,10 +207,7 @@ def statistics_of(
         If the normal matrix is singular where the loop ended.
     """
     prepared, state, layout = solution.prepared, solution.state, solution.prepared.layout
-    equations = build(prepared, state, solution.start, width)
-    factored = factor(prepared, equations)
-    if factored.singular >= 0:
-        raise NotDeterminedError("the normal matrix is singular at the solution")
+    equations, factored = _equations(solution, width)
     n, m, q = len(state.centres), len(prepared.order), len(layout.names)
     inverse, photo_shared, shared = _inverses(prepared, factored)
     points = np.empty((len(state.points), 6))
@@ -231,7 +228,7 @@ def statistics_of(
     by_shared = photo_shared.reshape(n, 6, q)[prepared.place]
     observations, unknowns = counts(solution)
     redundancy = observations - unknowns
-    sigma0 = math.sqrt(equations.cost / redundancy) if redundancy > 0 else math.nan
+    sigma0 = math.sqrt(solution.cost / redundancy) if redundancy > 0 else math.nan
     scale = sigma0 if options.scale_by == "estimated" and redundancy > 0 else 1.0
     limit = detection_limit(options.tests.alpha, options.tests.power)
     back = np.empty(m, np.int64)
@@ -272,6 +269,18 @@ def statistics_of(
         reliability.get("attitudes"),
         priors,
     )
+
+
+def _equations(solution: Solution, width: float) -> tuple[Equations, Factored]:
+    """The equations at the solution: those of its last step, or built once more."""
+    last = solution.linearised
+    if last is not None and last.width == width:
+        return last.equations, last.factored
+    equations = build(solution.prepared, solution.state, solution.start, width)
+    factored = factor(solution.prepared, equations)
+    if factored.singular >= 0:
+        raise NotDeterminedError("the normal matrix is singular at the solution")
+    return equations, factored
 
 
 def _inverses(prepared: Prepared, factored: Factored) -> tuple[Array, Array, Array]:

@@ -90,6 +90,8 @@ def _photos_of_point(
         np.empty((6, 3)),
         np.empty((3, 3)),
     )
+    # Unsigned indices need no look at whether they count from the end.
+    flat, stride = inverse.reshape(inverse.size), np.uint64(inverse.shape[1] - skew)
     for a in range(photo.shape[0]):
         at = 6 * place[photo[a]]
         own_block(inverse, skew, at, block)
@@ -100,10 +102,11 @@ def _photos_of_point(
         _minus(3, motion[a], u[a], motion_point[a])
         for b in range(a):
             before = 6 * place[photo[b]]
+            o = np.uint64(before) * stride + np.uint64(at)
             for e in range(6):
-                o = at - skew * (before + e)
                 for r in range(6):
-                    block[r, e] = inverse[before + e, o + r]
+                    block[r, e] = flat[o + np.uint64(r)]
+                o += stride
             _moved(block, d[a], d[b], by_first, by_second, motions)
             _minus(rows, by_first, u[b], photo_point[a])
             _minus(rows, by_second, u[a], photo_point[b])

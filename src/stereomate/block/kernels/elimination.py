@@ -16,6 +16,8 @@ from stereomate.block.kernels.small import (
 )
 from stereomate.jit import inline_kernel
 
+# Unsigned indices need no look at whether they count from the end.
+U1, U2, U3, U4, U5 = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4), np.uint64(5)
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
@@ -71,6 +73,8 @@ def eliminate_photos(
     diagonal: Array,
 ) -> None:
     """Add the photographs of a point with themselves and take the point out of all of them."""
+    # Entry (i, j) of the lower part, in both forms.
+    flat, stride = band.reshape(band.size), band.shape[1] - skew
     for i in range(low, high):
         n = information[i]
         if n[0] + n[3] + n[5] == 0.0:
@@ -92,7 +96,7 @@ def eliminate_photos(
                n[2] - c[6], n[4] - c[7], n[5] - c[8])  # fmt: skip
         e = rows_cross(own, dx, dy, dz)
         h = columns_cross(e, dx, dy, dz)
-        _add_own(own, e, h, at, skew, band)
+        _add_own(own, e, h, at * stride + at, stride, flat)
         direct = (n[0], n[1], n[2], n[1], n[3], n[4], n[2], n[4], n[5])
         turned = columns_cross(rows_cross(direct, dx, dy, dz), dx, dy, dz)
         diagonal[at] += n[0]
@@ -114,90 +118,89 @@ def eliminate_photos(
                 e,
                 columns_cross(c, dx, dy, dz),
                 columns_cross(e, dx, dy, dz),
-                at,
-                6 * place[k2],
-                skew,
-                band,
+                6 * place[k2] * stride + at,
+                stride,
+                flat,
             )
 
 
 @inline_kernel
-def _add_own(c: Nine, e: Nine, h: Nine, at: int, skew: int, band: Array) -> None:
+def _add_own(c: Nine, e: Nine, h: Nine, first: int, stride: int, flat: Array) -> None:
     """Tᵀ C T of one photograph, lower part: [[C, -E], [-Eᵀ, H]], E = C K, H = Kᵀ E."""
-    o = at - skew * at
-    band[at, o] += c[0]
-    band[at, o + 1] += c[3]
-    band[at, o + 2] += c[6]
-    band[at, o + 3] -= e[0]
-    band[at, o + 4] -= e[1]
-    band[at, o + 5] -= e[2]
-    o -= skew
-    band[at + 1, o + 1] += c[4]
-    band[at + 1, o + 2] += c[7]
-    band[at + 1, o + 3] -= e[3]
-    band[at + 1, o + 4] -= e[4]
-    band[at + 1, o + 5] -= e[5]
-    o -= skew
-    band[at + 2, o + 2] += c[8]
-    band[at + 2, o + 3] -= e[6]
-    band[at + 2, o + 4] -= e[7]
-    band[at + 2, o + 5] -= e[8]
-    o -= skew
-    band[at + 3, o + 3] += h[0]
-    band[at + 3, o + 4] += h[3]
-    band[at + 3, o + 5] += h[6]
-    o -= skew
-    band[at + 4, o + 4] += h[4]
-    band[at + 4, o + 5] += h[7]
-    o -= skew
-    band[at + 5, o + 5] += h[8]
+    o, w = np.uint64(first), np.uint64(stride)
+    flat[o] += c[0]
+    flat[o + U1] += c[3]
+    flat[o + U2] += c[6]
+    flat[o + U3] -= e[0]
+    flat[o + U4] -= e[1]
+    flat[o + U5] -= e[2]
+    o += w
+    flat[o + U1] += c[4]
+    flat[o + U2] += c[7]
+    flat[o + U3] -= e[3]
+    flat[o + U4] -= e[4]
+    flat[o + U5] -= e[5]
+    o += w
+    flat[o + U2] += c[8]
+    flat[o + U3] -= e[6]
+    flat[o + U4] -= e[7]
+    flat[o + U5] -= e[8]
+    o += w
+    flat[o + U3] += h[0]
+    flat[o + U4] += h[3]
+    flat[o + U5] += h[6]
+    o += w
+    flat[o + U4] += h[4]
+    flat[o + U5] += h[7]
+    o += w
+    flat[o + U5] += h[8]
 
 
 @inline_kernel
-def _subtract(c: Nine, e: Nine, g: Nine, h: Nine, at: int, before: int, skew: int, band: Array) -> None:
+def _subtract(c: Nine, e: Nine, g: Nine, h: Nine, first: int, stride: int, flat: Array) -> None:
     """Tᵀ C T₂ of two photographs: [[C, -E], [-G, H]], E = C K₂, G = Kᵀ C, H = Kᵀ C K₂."""
-    o = at - skew * before
-    band[before, o] -= c[0]
-    band[before, o + 1] -= c[3]
-    band[before, o + 2] -= c[6]
-    band[before, o + 3] += g[0]
-    band[before, o + 4] += g[3]
-    band[before, o + 5] += g[6]
-    o -= skew
-    band[before + 1, o] -= c[1]
-    band[before + 1, o + 1] -= c[4]
-    band[before + 1, o + 2] -= c[7]
-    band[before + 1, o + 3] += g[1]
-    band[before + 1, o + 4] += g[4]
-    band[before + 1, o + 5] += g[7]
-    o -= skew
-    band[before + 2, o] -= c[2]
-    band[before + 2, o + 1] -= c[5]
-    band[before + 2, o + 2] -= c[8]
-    band[before + 2, o + 3] += g[2]
-    band[before + 2, o + 4] += g[5]
-    band[before + 2, o + 5] += g[8]
-    o -= skew
-    band[before + 3, o] += e[0]
-    band[before + 3, o + 1] += e[3]
-    band[before + 3, o + 2] += e[6]
-    band[before + 3, o + 3] -= h[0]
-    band[before + 3, o + 4] -= h[3]
-    band[before + 3, o + 5] -= h[6]
-    o -= skew
-    band[before + 4, o] += e[1]
-    band[before + 4, o + 1] += e[4]
-    band[before + 4, o + 2] += e[7]
-    band[before + 4, o + 3] -= h[1]
-    band[before + 4, o + 4] -= h[4]
-    band[before + 4, o + 5] -= h[7]
-    o -= skew
-    band[before + 5, o] += e[2]
-    band[before + 5, o + 1] += e[5]
-    band[before + 5, o + 2] += e[8]
-    band[before + 5, o + 3] -= h[2]
-    band[before + 5, o + 4] -= h[5]
-    band[before + 5, o + 5] -= h[8]
+    o, w = np.uint64(first), np.uint64(stride)
+    flat[o] -= c[0]
+    flat[o + U1] -= c[3]
+    flat[o + U2] -= c[6]
+    flat[o + U3] += g[0]
+    flat[o + U4] += g[3]
+    flat[o + U5] += g[6]
+    o += w
+    flat[o] -= c[1]
+    flat[o + U1] -= c[4]
+    flat[o + U2] -= c[7]
+    flat[o + U3] += g[1]
+    flat[o + U4] += g[4]
+    flat[o + U5] += g[7]
+    o += w
+    flat[o] -= c[2]
+    flat[o + U1] -= c[5]
+    flat[o + U2] -= c[8]
+    flat[o + U3] += g[2]
+    flat[o + U4] += g[5]
+    flat[o + U5] += g[8]
+    o += w
+    flat[o] += e[0]
+    flat[o + U1] += e[3]
+    flat[o + U2] += e[6]
+    flat[o + U3] -= h[0]
+    flat[o + U4] -= h[3]
+    flat[o + U5] -= h[6]
+    o += w
+    flat[o] += e[1]
+    flat[o + U1] += e[4]
+    flat[o + U2] += e[7]
+    flat[o + U3] -= h[1]
+    flat[o + U4] -= h[4]
+    flat[o + U5] -= h[7]
+    o += w
+    flat[o] += e[2]
+    flat[o + U1] += e[5]
+    flat[o + U2] += e[8]
+    flat[o + U3] -= h[2]
+    flat[o + U4] -= h[5]
+    flat[o + U5] -= h[8]
 
 
 @inline_kernel
