@@ -18,7 +18,8 @@ from stereomate.block.loop import Progress, Solution, image_residuals, run_loop
 from stereomate.block.navigation import groups_of
 from stereomate.block.network import Network
 from stereomate.block.options import BlockOptions
-from stereomate.block.statistics import Reliability, Statistics, statistics_of
+from stereomate.block.reliability import Reliability
+from stereomate.block.statistics import Statistics, statistics_of
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from stereomate.block.loop import Solution
 from stereomate.block.navigation import groups_of
 from stereomate.block.network import Network
-from stereomate.block.statistics import Statistics, computed_variance
+from stereomate.block.reliability import computed_variance
+from stereomate.block.statistics import Statistics
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -24,7 +24,8 @@ from stereomate.block.gross_errors import GrossError, Key, Kind, errors_of, name
 from stereomate.block.loop import Progress, Solution, run_loop
 from stereomate.block.network import Network
 from stereomate.block.options import BlockOptions
-from stereomate.block.statistics import Reliability, Statistics, detection_limit, statistics_of
+from stereomate.block.reliability import Reliability
+from stereomate.block.statistics import Statistics, detection_limit, statistics_of
 from stereomate.errors import NotDeterminedError
 
 Array = NDArray[np.float64]

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,47 +19,17 @@ from stereomate.block.equations import Equations, Factored, build, factor
 from stereomate.block.freedom import inner_constraints
 from stereomate.block.kernels import blocks
 from stereomate.block.kernels import covariance as kernels
-from stereomate.block.loop import Solution, image_residuals
-from stereomate.block.navigation import Group, groups_of
+from stereomate.block.loop import Solution
+from stereomate.block.navigation import groups_of
 from stereomate.block.options import BlockOptions
 from stereomate.block.prepared import Prepared
+from stereomate.block.reliability import Reliability, of_control, of_group, of_image, of_priors
 from stereomate.block.selected import add_product, selected_inverse
 from stereomate.block.triangular import backward
-from stereomate.block.unknowns import prior_residuals
 from stereomate.errors import NotDeterminedError
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-# Redundancy below which a residual says nothing about its observation.
-_UNCONTROLLED: Final = 1e-6
-
-
-@dataclass(frozen=True, eq=False)
-class Reliability:
-    """Statistics of one kind of observations; NaN for what took no part or is not controlled.
-
-    Image points that took no part have standardized residuals: of the prediction that the others make.
-
-    Attributes
-    ----------
-    residuals : ndarray, shape (g, s)
-        Observed minus computed, unit of the observation.
-    sigma : ndarray, shape (g, s)
-        A priori.
-    redundancy : ndarray, shape (g, s)
-        Redundancy numbers, 0 to 1.
-    standardized : ndarray, shape (g, s)
-        Residuals over their standard deviations.
-    minimal_detectable : ndarray, shape (g, s)
-        Unit of the observation.
-    """
-
-    residuals: Array
-    sigma: Array
-    redundancy: Array
-    standardized: Array
-    minimal_detectable: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,8 +175,64 @@ def statistics_of(
     NotDeterminedError
         If the normal matrix is singular where the loop ended.
     """
-    prepared, state, layout = solution.prepared, solution.state, solution.prepared.layout
     equations, factored = _equations(solution, width)
+    found = _blocks(solution, equations, factored, width, cross_blocks)
+    photos, points, by_shared, shared = found.photos, found.points, found.by_shared, found.shared
+    observations, unknowns = counts(solution)
+    redundancy = observations - unknowns
+    sigma0 = math.sqrt(solution.cost / redundancy) if redundancy > 0 else math.nan
+    scale = sigma0 if options.scale_by == "estimated" and redundancy > 0 else 1.0
+    limit = detection_limit(options.tests.alpha, options.tests.power)
+    image = of_image(solution, found.computed, width, scale, limit)
+    groups = groups_of(solution.prepared.network, solution.prepared.layout, solution.state)
+    reliability = {
+        name: of_group(group, photos, by_shared, shared, scale, limit) for name, group in groups.items()
+    }
+    control = of_control(solution, points, scale, limit)
+    if solution.defect.size:
+        change = inner_constraints(solution, equations, factored)
+        photos, points, by_shared = change.applied(photos, points, by_shared)
+    photos = np.where(solution.lonely[:, None, None], np.nan, photos)
+    return Statistics(
+        sigma0,
+        scale,
+        redundancy,
+        observations,
+        unknowns,
+        Covariances(photos, points, shared, by_shared, found.photo_point, found.inverse, solution.prepared),
+        image,
+        image.minimal_detectable * np.linalg.norm(found.on_point, axis=2),
+        image.minimal_detectable * np.linalg.norm(found.on_photo, axis=2),
+        control,
+        reliability.get("positions"),
+        reliability.get("attitudes"),
+        of_priors(solution, shared, scale, limit),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Blocks:
+    """Parts of the inverse in the order of the network, and what follows from them for image points.
+
+    `computed` (m, 2): variances of what is computed; `on_point`, `on_photo` (m, 2, 3): motion of point
+    and centre by a pixel of error. The rest as in `Covariances`.
+    """
+
+    photos: Array
+    points: Array
+    shared: Array
+    by_shared: Array
+    photo_point: Array
+    inverse: Array
+    computed: Array
+    on_point: Array
+    on_photo: Array
+
+
+def _blocks(
+    solution: Solution, equations: Equations, factored: Factored, width: float, cross_blocks: bool
+) -> _Blocks:
+    prepared, state, layout = solution.prepared, solution.state, solution.prepared.layout
     n, m, q = len(state.centres), len(prepared.order), len(layout.names)
     inverse, photo_shared, shared = _inverses(prepared, factored)
     points = np.empty((len(state.points), 6))
@@ -225,50 +250,13 @@ def statistics_of(
     blocks.photo_blocks(inverse, prepared.skew, prepared.place, photos)
     point_blocks = points[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
     point_blocks[~solution.determined] = np.nan
-    by_shared = photo_shared.reshape(n, 6, q)[prepared.place]
-    observations, unknowns = counts(solution)
-    redundancy = observations - unknowns
-    sigma0 = math.sqrt(solution.cost / redundancy) if redundancy > 0 else math.nan
-    scale = sigma0 if options.scale_by == "estimated" and redundancy > 0 else 1.0
-    limit = detection_limit(options.tests.alpha, options.tests.power)
     back = np.empty(m, np.int64)
     back[prepared.order] = np.arange(m)
-    image = _image(solution, computed[back], width, scale, limit)
-    motion = image.minimal_detectable
-    groups = groups_of(prepared.network, layout, state)
-    priors = _priors(solution, shared, scale, limit)
-    reliability = {
-        name: _group(group, photos, by_shared, shared, scale, limit) for name, group in groups.items()
-    }
-    control = _control(solution, point_blocks, scale, limit)
-    if solution.defect.size:
-        change = inner_constraints(solution, equations, factored)
-        photos, point_blocks, by_shared = change.applied(photos, point_blocks, by_shared)
-    photos = np.where(solution.lonely[:, None, None], np.nan, photos)
-    cofactors = Covariances(
-        photos,
-        point_blocks,
-        shared,
-        by_shared,
-        photo_point[back] if cross_blocks else photo_point,
-        inverse,
-        prepared,
-    )
-    return Statistics(
-        sigma0,
-        scale,
-        redundancy,
-        observations,
-        unknowns,
-        cofactors,
-        image,
-        motion * np.linalg.norm(on_point[back], axis=2),
-        motion * np.linalg.norm(on_photo[back], axis=2),
-        control,
-        reliability.get("positions"),
-        reliability.get("attitudes"),
-        priors,
-    )
+    by_shared = photo_shared.reshape(n, 6, q)[prepared.place]
+    return _Blocks(
+        photos, point_blocks, shared, by_shared, photo_point[back] if cross_blocks else photo_point, inverse,
+        computed[back], on_point[back], on_photo[back],
+    )  # fmt: skip
 
 
 def _equations(solution: Solution, width: float) -> tuple[Equations, Factored]:
@@ -298,104 +286,3 @@ def _inverses(prepared: Prepared, factored: Factored) -> tuple[Array, Array, Arr
     product = solved @ shared
     add_product(inverse, prepared.skew, product, solved)
     return inverse, -product, shared
-
-
-def _reliability(
-    residuals: Array, sigma: Array, redundancy: Array, deviation: Array, scale: float, limit: float
-) -> Reliability:
-    controlled = redundancy > _UNCONTROLLED
-    with np.errstate(invalid="ignore", divide="ignore"):
-        standardized = np.where(controlled, residuals / (scale * deviation), np.nan)
-        detectable = np.where(controlled, scale * limit * sigma / np.sqrt(redundancy), np.nan)
-    return Reliability(residuals, sigma, redundancy, standardized, detectable)
-
-
-def _image(solution: Solution, computed: Array, width: float, scale: float, limit: float) -> Reliability:
-    """Of image points; those that took no part have what their own error is likely to be (`predicted`)."""
-    residuals = image_residuals(solution.prepared, solution.state)
-    sigma = solution.prepared.network.image.sigma
-    used = solution.used[:, None]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        size = np.linalg.norm(residuals / sigma, axis=1, keepdims=True)
-        weight = np.minimum(1.0, width / size) / sigma**2
-        redundancy = np.where(used, 1.0 - weight * computed, np.nan)
-        deviation = np.sqrt(np.where(used, redundancy / weight, sigma**2 + computed))
-    known = solution.determined[solution.prepared.network.image.point][:, None]
-    made = _reliability(residuals, sigma, redundancy, deviation, scale, limit)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        standardized = np.where(used | ~known, made.standardized, residuals / (scale * deviation))
-    return Reliability(residuals, sigma, redundancy, standardized, made.minimal_detectable)
-
-
-def _group(
-    group: Group, photos: Array, by_shared: Array, shared: Array, scale: float, limit: float
-) -> Reliability:
-    """Of observations of single photographs."""
-    inner = computed_variance(group, photos, by_shared, shared)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        sigma = np.where(group.weight > 0.0, 1.0 / np.sqrt(group.weight), np.nan)
-        redundancy = 1.0 - group.weight * inner
-        redundancy = np.where(group.weight > 0.0, redundancy, np.nan)
-        deviation = sigma * np.sqrt(redundancy)
-    residuals = np.where(group.weight > 0.0, group.residual, np.nan)
-    return _reliability(residuals, sigma, redundancy, deviation, scale, limit)
-
-
-def computed_variance(group: Group, photos: Array, by_shared: Array, shared: Array) -> Array:
-    """Cofactors (g, 3) of what is computed for observations of single photographs: diagonal of ``J Q Jᵀ``."""
-    jp, k = group.by_photo, group.photo
-    inner: Array = np.einsum("gia,gab,gib->gi", jp, photos[k], jp)
-    if group.columns.shape[1] and shared.shape[0]:
-        columns = np.where(group.columns >= 0, group.columns, 0)
-        js = group.by_shared * (group.columns >= 0)[:, None, :]
-        cross = np.take_along_axis(by_shared[k], columns[:, None, :], axis=2)
-        inner += 2.0 * np.einsum("gia,gas,gis->gi", jp, cross, js)
-        among = shared[columns[:, :, None], columns[:, None, :]]
-        inner += np.einsum("gis,gst,git->gi", js, among, js)
-    return inner
-
-
-def _priors(solution: Solution, shared: Array, scale: float, limit: float) -> Reliability:
-    layout = solution.prepared.layout
-    sigma = np.where(np.isfinite(layout.prior_sigma), layout.prior_sigma, np.nan)[:, None]
-    residuals = prior_residuals(solution.state, solution.start, layout)[:, None]
-    redundancy = 1.0 - np.diag(shared)[:, None] / sigma**2
-    with np.errstate(invalid="ignore"):
-        deviation = sigma * np.sqrt(redundancy)
-    return _reliability(
-        np.where(np.isfinite(sigma), residuals, np.nan), sigma, redundancy, deviation, scale, limit
-    )
-
-
-def _control(solution: Solution, points: Array, scale: float, limit: float) -> Reliability | None:
-    """Of control points; their coordinates may be correlated. Check points have residuals only."""
-    prepared, control = solution.prepared, solution.prepared.network.control
-    if control is None:
-        return None
-    assert control.check is not None
-    k = len(control.point)
-    known = np.isfinite(control.sigma)
-    residuals = np.where(known, control.xyz - solution.state.points[control.point], np.nan)
-    residuals[~solution.determined[control.point]] = np.nan
-    redundancy, deviation = np.full((k, 3), np.nan), np.full((k, 3), np.nan)
-    effective = np.full((k, 3), np.nan)
-    sigma = np.where(known, control.sigma, np.nan)
-    for i in np.flatnonzero(~control.check):
-        j = int(control.point[i])
-        if not solution.determined[j]:
-            continue
-        weight = prepared.control_weight[prepared.control[j]]
-        axes = np.flatnonzero(np.diag(weight) > 0.0)
-        if not len(axes):
-            continue
-        inner = np.ix_(axes, axes)
-        prior = np.linalg.inv(weight[inner])
-        left = prior - points[j][inner]
-        redundancy[i, axes] = np.diag(left @ weight[inner])
-        deviation[i, axes] = np.sqrt(np.maximum(np.diag(left), 0.0))
-        # For correlated coordinates the detectable error follows from P Qvv P.
-        informed = np.maximum(np.diag(weight[inner] @ left @ weight[inner]), 1e-300)
-        effective[i, axes] = np.sqrt(redundancy[i, axes].clip(1e-300) / informed)
-        sigma[i, axes] = np.sqrt(np.diag(prior))
-    made = _reliability(residuals, effective, redundancy, deviation, scale, limit)
-    return Reliability(residuals, sigma, redundancy, made.standardized, made.minimal_detectable)

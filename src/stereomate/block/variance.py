@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from stereomate.block.adjustment import BlockAdjustment, adjust_block
 from stereomate.block.network import ImagePoints, Network
 from stereomate.block.options import BlockOptions
+from stereomate.block.reliability import Reliability
 from stereomate.block.snooping import without
-from stereomate.block.statistics import Reliability
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

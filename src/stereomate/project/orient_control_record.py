@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereomate.block.statistics import Reliability
+from stereomate.block.reliability import Reliability
 from stereomate.frames.transform import map_from_tangent
 from stereomate.project.orient_adjust import Adjusted
 from stereomate.project.orient_inputs import OrientInputs

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.block.adjustment import BlockAdjustment
-from stereomate.block.statistics import Reliability
+from stereomate.block.reliability import Reliability
 from stereomate.project.schema import AccuracySection
 
 Array = NDArray[np.float64]
