@@ -35,7 +35,7 @@ def _homogeneity(
         float | None,
         typer.Option("--resolution", help="Pixel of the map, map units [default: of the height model]."),
     ] = None,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the maps.")] = Path("homogeneity"),
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the maps; file of the diagram.")] = Path("homogeneity"),
     slopes: Annotated[
         str, typer.Option("--slopes", help="Of table and diagram: along and across the base, degrees.")
     ] = "20,30",
@@ -58,7 +58,8 @@ def _homogeneity(
     if what == "table":
         _table(case, _numbers(slopes, "--slopes", 2), law, as_json)
     elif what == "diagram":
-        _diagram(figure or Path("homogeneity.svg"), _numbers(slopes, "--slopes", 2), law)
+        drawn = out if out.suffix else Path("homogeneity.svg")
+        _diagram(figure or drawn, _numbers(slopes, "--slopes", 2), law)
     else:
         heights = _numbers(object_height, "--object-height")
         with progress_of(settings, as_json) as progress:

@@ -32,7 +32,7 @@ _STEEP: Final = 1.0
 _STEEP_COST: Final = 8.0
 
 # Photographs are mixed where they differ by less than this in colour (after smoothing) and in parallax.
-MIXED_COLOUR_DN: Final = 10.0
+MIXED_COLOUR_DN: Final = 20.0
 MIXED_PARALLAX: Final = 0.5
 _SMOOTHING: Final = 3
 

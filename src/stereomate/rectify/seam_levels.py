@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 
 # Cells from a seam to where nothing is changed, and half the side of the square whose mean is compared.
 REACH_CELLS: Final = 16.0
-_AROUND_CELLS: Final = 4
+_AROUND_CELLS: Final = 2
 # Logarithms at most; of squares that both models show to less than this share, nothing is said.
 _MOST: Final = 0.3
 _LEAST_SHARE: Final = 0.1

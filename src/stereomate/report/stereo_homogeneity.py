@@ -209,5 +209,7 @@ def draw_laws(
         image = folds.imshow(fold, extent=extent, cmap="magma", vmin=-1.0, vmax=1.0, interpolation="nearest")
         folds.set_facecolor("#d9d9d9")
         folds.set_title("q' dh/du: folds at 1", fontsize=9.0)
+        folds.set_xlabel("km")
+        folds.set_ylabel("km")
         figure.colorbar(image, ax=folds, shrink=0.8)
     return figure
