@@ -35,7 +35,9 @@ def _homogeneity(
         float | None,
         typer.Option("--resolution", help="Pixel of the map, map units [default: of the height model]."),
     ] = None,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the maps; file of the diagram.")] = Path("homogeneity"),
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the maps; file of the diagram.")] = Path(
+        "homogeneity"
+    ),
     slopes: Annotated[
         str, typer.Option("--slopes", help="Of table and diagram: along and across the base, degrees.")
     ] = "20,30",
