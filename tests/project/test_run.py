@@ -656,3 +656,23 @@ def test_a_full_disk_leaves_no_half_file_and_the_run_goes_on(copy, capsys, monke
     after = contents(out)
     assert set(after) == {*whole, Path("run.log")}
     assert [name for name in whole if name.suffix == ".tif" and after[name] != whole[name]] == []
+
+
+def test_a_product_without_a_valid_pixel_is_told(survey, tmp_path, caplog):
+    """All but the corners of the photographs is nodata: the middle of the block stays empty."""
+    pixels = np.zeros((240, 320, 3), np.uint8)
+    pixels[0, 0] = 9
+    for path in survey.parent.glob("strip*.tif"):
+        tags = [(42113, "s", 1, "0", True)]
+        tifffile.imwrite(tmp_path / path.name, pixels, photometric="rgb", tile=(128, 128), extratags=tags)
+    with rasterio.open(survey.parent / "heights.tif") as file:
+        x, y = file.xy(file.height // 2, file.width // 2)
+    project = variant(
+        survey, tmp_path, photos='"strip*.tif"', bounds=f"[{x - 5}, {y - 5}, {x + 5}, {y + 5}]", **AS_RECORDED
+    )
+    text = project.read_text().replace(f'"{survey.parent}/strip*.tif"', '"strip*.tif"')
+    project.write_text(text)
+    make(project, tmp_path / "out", agreement=False, stereo=False)
+    assert "ortho.tif: holds no valid pixel" in caplog.text
+    with rasterio.open(tmp_path / "out" / "ortho.tif") as file:
+        assert not file.dataset_mask().any()

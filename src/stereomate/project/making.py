@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +19,8 @@ from stereomate.stereo.product import ProductFiles, StereoProduct
 from stereomate.tiles import executor as tiles
 from stereomate.tiles.ledger import Ledger, run_key
 from stereomate.tiles.plan import TilePlan
+
+LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +81,9 @@ def make_product(
         report(f"agreement{_suffix(job)}", 1, 1)
     hashes = {file: digest for file, (_, digest) in zip(files.values(), assembled, strict=True)}
     statistics = {name: found for name, (found, _) in zip(files, assembled, strict=True)}
+    for name in (ORTHO, MATE):
+        if name in statistics and not any(band.count for band in statistics[name]):
+            LOG.warning("%s: holds no valid pixel: no photograph shows its ground", files[name])
     product = StereoProduct(
         job,
         ProductFiles(files[ORTHO], files[LINEAGE], files.get(MATE), hashes),
