@@ -13,6 +13,10 @@ from stereomate.geometry.adjustment import AdjustmentOptions, AdjustmentSummary,
 from stereomate.geometry.rotations import rotation_from_vector, skew
 from stereomate.geometry.transforms import Array, Matrix3, nested3, point_pairs
 
+# Triples of points that a robust start is chosen from, and rows that are transformed at a time.
+_TRIPLES = 500
+_ROWS = 100_000
+
 __all__ = ["SimilarityEstimate", "SpaceTransform", "estimate_space_transform"]
 
 
@@ -172,18 +176,35 @@ def _best_triple(source: Array, target: Array, rigid: bool, deviations: Array) -
     """Closed solution of the three points with the smallest median residual over all points."""
     rng = np.random.default_rng(0)  # fixed: the same points give the same transform
     n = len(source)
-    best, best_median = closed_form(source, target, rigid, np.ones(n)), math.inf
-    for _ in range(500):
-        chosen = rng.choice(n, 3, replace=False)
-        spread = np.linalg.svd(source[chosen] - source[chosen].mean(axis=0), compute_uv=False)
-        if spread[1] <= 1e-3 * spread[0]:
-            continue
-        try:
-            candidate = closed_form(source[chosen], target[chosen], rigid, np.ones(3))
-        except InputError:  # three points mismatched so badly that the scale is not positive
-            continue
-        misfit = np.linalg.norm((target - candidate.apply(source)) / deviations, axis=1)
-        median = float(np.median(misfit))
-        if median < best_median:
-            best, best_median = candidate, median
+    triples = np.array([rng.choice(n, 3, replace=False) for _ in range(_TRIPLES)])
+    start = closed_form(source, target, rigid, np.ones(n))
+    best, best_median = start, math.inf
+    for chosen in np.array_split(triples, -(-_TRIPLES * n // _ROWS)):
+        rotations, shifts, scales, good = _closed_forms(source[chosen], target[chosen], rigid)
+        moved = scales[:, None, None] * (source @ np.swapaxes(rotations, 1, 2)) + shifts[:, None, :]
+        misfit = np.linalg.norm((target - moved) / deviations, axis=2)
+        median = np.where(good, np.median(misfit, axis=1), math.inf)
+        k = int(median.argmin())
+        if median[k] < best_median:
+            best = SpaceTransform.from_arrays(rotations[k], shifts[k], float(scales[k]))
+            best_median = float(median[k])
     return best
+
+
+def _closed_forms(source: Array, target: Array, rigid: bool) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """`closed_form` of many triples (m, 3, 3) at once; those that lie on a line or mismatch are not good."""
+    mean_source, mean_target = source.mean(axis=1), target.mean(axis=1)
+    a, b = source - mean_source[:, None, :], target - mean_target[:, None, :]
+    extent = np.linalg.svd(a, compute_uv=False)
+    u, singular, vt = np.linalg.svd(np.swapaxes(b, 1, 2) @ a)
+    signs = np.ones((len(a), 3))
+    signs[:, 2] = np.sign(np.linalg.det(u @ vt))
+    rotations = (u * signs[:, None, :]) @ vt
+    good = extent[:, 1] > 1e-3 * extent[:, 0]
+    scales = np.ones(len(a))
+    if not rigid:
+        spread = np.sum(a * a, axis=(1, 2))
+        scales = np.sum(singular * signs, axis=1) / np.where(good, spread, 1.0)
+        good &= scales > 0.0
+    shifts = mean_target - scales[:, None] * (rotations @ mean_source[:, :, None])[..., 0]
+    return rotations, shifts, scales, good
