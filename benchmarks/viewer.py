@@ -22,13 +22,14 @@ from typing import Any
 import numpy as np
 
 SIZE = int(os.environ.get("STEREOMATE_BENCH_PAIR", "20000"))
-PANS = 12
+PANS, OPENINGS = 12, 5
 CLAIM_FIRST_MS, CLAIM_PAN_MS, CLAIM_FRAME_MS = 1000.0, 300.0, 4.0
 
 FIRST = """(() => {
-  const at = performance.getEntriesByName('first picture')[0].startTime;
+  const [at, drawn] = ['first picture', 'first picture drawn'].map(
+    (name) => performance.getEntriesByName(name)[0].startTime);
   const asked = performance.getEntriesByType('resource').filter((r) => r.responseEnd <= at);
-  return [at, 1 + asked.length, asked.reduce((sum, r) => sum + r.transferSize, 0)];
+  return [at, drawn, 1 + asked.length, asked.reduce((sum, r) => sum + r.transferSize, 0)];
 })()"""
 PAN = """async ([dx, dy]) => {
   const app = stereomate, frame = () => new Promise((done) => requestAnimationFrame(done));
@@ -135,20 +136,25 @@ def run() -> list[dict[str, Any]]:
 def _measured(address: str, server: int, ready_s: float) -> list[dict[str, Any]]:
     from playwright.sync_api import sync_playwright
 
-    begun = _cpu_s(server)
+    ready_cpu = _cpu_s(server)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(
             executable_path=shutil.which("chromium"),
             args=["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
         )
-        page = browser.new_page(viewport={"width": 1920, "height": 1080})
-        page.goto(address)
-        _wait(
-            page,
-            "window.stereomate?.shown && stereomate.renderer.relief && !stereomate.renderer.cache.isBusy",
-        )
-        first_ms, requests, size = page.evaluate(FIRST)
-        first_cpu = _cpu_s(server) - begun
+        first: list[list[float]] = []
+        while True:
+            context = browser.new_context(viewport={"width": 1920, "height": 1080})
+            page = context.new_page()
+            begun = _cpu_s(server)
+            page.goto(address, wait_until="commit")
+            _wait(page, "performance.getEntriesByName('first picture drawn').length")
+            first.append([*page.evaluate(FIRST), _cpu_s(server) - begun])
+            if len(first) == OPENINGS:
+                break
+            context.close()
+        first_ms, drawn_ms, requests, size, first_cpu = map(statistics.median, zip(*first, strict=True))
+        _wait(page, "stereomate.renderer.relief && !stereomate.renderer.cache.isBusy")
         page.evaluate("stereomate.motion.goTo(9000, 9000, 0.9); stereomate.touched()")
         _wait(page, "!stereomate.motion.target && !stereomate.renderer.cache.isBusy")
         page.wait_for_timeout(1500)
@@ -162,19 +168,22 @@ def _measured(address: str, server: int, ready_s: float) -> list[dict[str, Any]]
         tiles = page.evaluate("stereomate.renderer.cache.uploads") - uploads
         tile_cpu = (_cpu_s(server) - begun) / max(tiles, 1)
         browser.close()
+    load = f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors"
+    asked = f"of {OPENINGS} openings, after {requests:.0f} requests, {size / 1e3:.0f} kB; {load}"
     rows = [
-        ("command to address", 1e3 * ready_s, None, "ms", "imports, lattice, no hashes: the file names none"),
         (
-            "first picture",
-            first_ms,
-            CLAIM_FIRST_MS,
+            "command to address",
+            1e3 * ready_s,
+            None,
             "ms",
-            f"after {requests} requests, {size / 1e3:.0f} kB",
+            f"{1e3 * ready_cpu:.0f} CPU ms, nearly all imports",
         ),
-        ("first view, server", 1e3 * first_cpu, None, "CPU ms", "all tiles of the first view, layers"),
-        ("pan of 400 px", statistics.median(pans), CLAIM_PAN_MS, "ms", f"largest {max(pans):.0f} ms"),
+        ("first picture", first_ms, CLAIM_FIRST_MS, "ms", f"median {asked}"),
+        ("first picture, drawn", drawn_ms, None, "ms", "when the GPU, here software, has finished it"),
+        ("first picture, server", 1e3 * first_cpu, None, "CPU ms", "median"),
+        ("pan of 400 px", statistics.median(pans), CLAIM_PAN_MS, "ms", f"largest {max(pans):.0f} ms; {load}"),
         ("page's own work per frame", frame_ms, CLAIM_FRAME_MS, "ms", "median while panning"),
-        ("tile, server", 1e3 * tile_cpu, None, "CPU ms", f"{tiles} tiles of 512 x 512, JPEG 4:4:4"),
+        ("tile, server", 1e3 * tile_cpu, None, "CPU ms", f"{tiles} shown, those fetched ahead in it"),
     ]
     return [
         {"name": n, "ours": v, "peer": c, "ratio": v / c if c else None, "unit": u, "note": note}

@@ -88,7 +88,7 @@ def measure(
     sigma = 4 * (options.sigma_px * job.grid.gsd,)
     exact = intersect_grounds(left, right, centres, sigma)
     flags[(exact.depths <= 0.0).any(axis=1)] |= int(Flag.BEHIND)
-    flags[_without_base(left, centres)] |= int(Flag.NO_BASE)
+    flags[(photographs >= 0).all(axis=1) & _without_base(left, centres)] |= int(Flag.NO_BASE)
     refused = (flags & int(REFUSED)) != 0
     exact.points[refused] = np.nan
     points, by = _mapped(job, exact.points)

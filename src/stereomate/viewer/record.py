@@ -78,7 +78,10 @@ def viewer_record(product: StereoProduct, object_heights_m: tuple[float, ...]) -
         "layers": {"cols": cols, "rows": rows, "step": layer_step(grid.size)},
         "homogeneity": list(object_heights_m) if job.is_stereo else [],
         "lineage": {"tile": 512, "maps": bool(product.files.lineage)},
-        "photographs": _photographs(job),
+        "photographs": [
+            {"name": photograph.name, "centre": list(photograph.orientation.centre)}
+            for photograph in job.photographs
+        ],
         "models": [[m.left, m.right] for m in job.models],
         "agreement": _agreement(product),
     }
@@ -93,6 +96,7 @@ def measuring_record(
     return {
         "datum": lattice.datum,
         "orientation": _covariances(product),
+        "centre_pixels": _centre_pixels(job),
         "heights": {
             "tile": HEIGHT_TILE,
             "col0": window.col0,
@@ -135,18 +139,10 @@ def _highest(job: RectifyJob, window: HeightWindow) -> float:
     return highest if math.isfinite(highest) else 0.0
 
 
-def _photographs(job: RectifyJob) -> list[dict[str, Any]]:
+def _centre_pixels(job: RectifyJob) -> list[list[float]]:
+    """Where the projection centres lie in the product, in the order of its photographs."""
     centres = map_from_tangent(job.tangent, job.frame, job.centres_tangent)
-    pixels = job.grid.pixel_from_map(centres[:, :2])
-    return [
-        {
-            "name": photograph.name,
-            "centre": list(photograph.orientation.centre),
-            "map": centres[k].tolist(),
-            "pixel": pixels[k].tolist(),
-        }
-        for k, photograph in enumerate(job.photographs)
-    ]
+    return [[float(v) for v in pixel] for pixel in job.grid.pixel_from_map(centres[:, :2])]
 
 
 def _agreement(product: StereoProduct) -> dict[str, Any] | None:

@@ -20,6 +20,7 @@ export class Product {
     this.lineagePending = new Map();
     this.surface = null;
     this.orientation = null;
+    this.centrePixels = [];
   }
 
   static async open(folder) {
@@ -34,6 +35,7 @@ export class Product {
       Object.assign(this.record, record);
       this.datum = record.datum;
       this.orientation = orientationOf(record.orientation);
+      this.centrePixels = record.centre_pixels;
       const lattice = new Lattice(this.record.lattice, values);
       const tiles = new HeightTiles(this.record.heights, this.folder, this.version);
       this.surface = new Surface(this.record, lattice, tiles, this.law);

@@ -5,9 +5,11 @@
 import { mapped } from './mapped.js';
 import { covarianceOfPair, orientationCovariance } from './orientation.js';
 import { chordsOf, isBlocked, windowsOf } from './sight.js';
-import { cross, dot, intersectTwoRays, inverse, minus, plus, times, transpose } from './linear.js';
+import { cross, dot, intersectTwoRays, inverse, minus, norm, plus, times, transpose } from './linear.js';
 
 const ROW_STEPS = 8, CONDITION_STEPS = 5;
+// Two centres nearer to each other than this share of the distance to the ground have no base.
+const BASE = 1e-3;
 const FOLD_GROWTH = 4, UNCERTAIN = 4, MISSED_SIGMAS = 5;
 
 export const FLAGS = {
@@ -148,9 +150,12 @@ export function measurePoint(product, left, right, accuracy) {
     yParallax: (right[1] - left[1]) * grid.gsd * grid.unit_m,
     point: null, sigma: null, covariance: null, orientationSigma: null, miss: NaN, degrees: null, lacking: [],
   };
-  if (isRefused(flags)) return result;
+  const centres = known ? shown.map((k) => photographs[k].centre) : [];
+  if (known && norm(minus(centres[1], centres[0])) < BASE * norm(minus(groundL.point, centres[0]))) {
+    result.flags |= FLAGS.NO_BASE;
+  }
+  if (isRefused(result.flags)) return result;
   const sigma = sigmaPx * grid.gsd;
-  const centres = shown.map((k) => photographs[k].centre);
   const length = (a, b) => Math.hypot(...minus(a, b));
   if (length(centres[0], centres[1]) < NO_BASE * length(groundL.point, centres[0])) {
     result.flags |= FLAGS.NO_BASE;

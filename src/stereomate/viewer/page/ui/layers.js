@@ -181,7 +181,9 @@ export class Layers {
   }
 
   #photographs() {
-    return this.product.photographs.map((p) => ({ places: [p.pixel], marker: 'centre', colour: [1, 1, 0.6], width: 2, label: p.name }));
+    const { photographs, centrePixels } = this.product;
+    return centrePixels.map((pixel, k) => (
+      { places: [pixel], marker: 'centre', colour: [1, 1, 0.6], width: 2, label: photographs[k].name }));
   }
 
   #points() {
