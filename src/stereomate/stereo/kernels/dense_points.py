@@ -347,6 +347,10 @@ def fill_small_gaps(values: Floats32, least: int, out: Floats32) -> None:
                 out[i, j, k] /= used
 
 
+# The bend h(-1) - 2 h(0) + h(1) of noise has a standard deviation of √6 times that of a height: thrice that.
+_NO_NOISE = 3.0 * math.sqrt(6.0)
+
+
 @kernel
 def add_shape(
     values: Floats32, reach: int, share: float, most: float, out: Floats32, jumps: Floats32
@@ -369,16 +373,18 @@ def add_shape(
     out : (rows, cols)
         Standard deviations.
     jumps : (rows, cols)
-        1 where the surface bends by more than `most` from one cell to the next, NaN where there is none.
+        1 where the surface bends by more than `most` and than noise does, from one cell to the next; NaN
+        where there is none.
     """
     rows, cols = values.shape[:2]
     for i in range(rows):
         for j in range(cols):
             h = np.float64(values[i, j, 0])
             jumps[i, j] = 0.0 if h == h else np.nan
-            if 0 < i < rows - 1 and abs(values[i - 1, j, 0] - 2.0 * h + values[i + 1, j, 0]) > most:
+            least = max(most, _NO_NOISE * values[i, j, 2])
+            if 0 < i < rows - 1 and abs(values[i - 1, j, 0] - 2.0 * h + values[i + 1, j, 0]) > least:
                 jumps[i, j] = 1.0
-            if 0 < j < cols - 1 and abs(values[i, j - 1, 0] - 2.0 * h + values[i, j + 1, 0]) > most:
+            if 0 < j < cols - 1 and abs(values[i, j - 1, 0] - 2.0 * h + values[i, j + 1, 0]) > least:
                 jumps[i, j] = 1.0
             worst = 0.0
             for k in range(2):
