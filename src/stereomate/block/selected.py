@@ -6,6 +6,7 @@ Y = L_KJ L_JJ⁻¹, Z_KJ = -Z_KK Y, Z_JJ = (L_JJ L_JJᵀ)⁻¹ + Yᵀ Z_KK Y. Al
 
 from __future__ import annotations
 
+import functools
 from typing import Final
 
 import numpy as np
@@ -31,9 +32,13 @@ def _rows(band: Array, first: int, rows: int, columns: int) -> Array:
     return as_strided(flat, (rows, columns), ((width - 1) * item, item))
 
 
+@functools.lru_cache(maxsize=4)
 def _within(rows: int, columns: int, width: int) -> Mask:
+    """What of a block lies within the band; all blocks but those at the end are of one size."""
     distance = np.arange(columns) - np.arange(rows)[:, None]
-    return np.asarray((distance >= 0) & (distance < width))
+    inside = np.asarray((distance >= 0) & (distance < width))
+    inside.flags.writeable = False
+    return inside
 
 
 def selected_inverse(factor: Array, skew: int) -> Array:
@@ -66,20 +71,3 @@ def selected_inverse(factor: Array, skew: int) -> Array:
         np.copyto(_rows(inverse, first, size, size + below), target, where=inside)
         first -= block
     return inverse
-
-
-def add_product(inverse: Array, skew: int, left: Array, right: Array) -> None:
-    """Add ``left rightᵀ`` (symmetric, both (n, q)) within the band, in place."""
-    n, width = inverse.shape
-    if left.shape[1] == 0:
-        return
-    if skew == 0:
-        inverse += right @ left.T
-        return
-    for first in range(0, n, _BLOCK):
-        size = min(_BLOCK, n - first)
-        reach = min(n - first, size + width - 1)
-        inside = _within(size, reach, width)
-        product = left[first : first + size] @ right[first : first + reach].T
-        view = _rows(inverse, first, size, reach)
-        np.copyto(view, view + product, where=inside)

@@ -24,7 +24,7 @@ from stereomate.block.navigation import groups_of
 from stereomate.block.options import BlockOptions
 from stereomate.block.prepared import Prepared
 from stereomate.block.reliability import Reliability, of_control, of_group, of_image, of_priors
-from stereomate.block.selected import add_product, selected_inverse
+from stereomate.block.selected import selected_inverse
 from stereomate.block.triangular import backward
 from stereomate.errors import NotDeterminedError
 
@@ -282,7 +282,6 @@ def _inverses(prepared: Prepared, factored: Factored) -> tuple[Array, Array, Arr
     shared = root.T @ root
     solved = factored.half.copy()
     backward(factored.factor, prepared.skew, solved)
-    solved = np.ascontiguousarray(solved.T)
-    product = solved @ shared
-    add_product(inverse, prepared.skew, product, solved)
+    product = np.ascontiguousarray(solved.T @ shared)
+    blocks.add_product(inverse, prepared.skew, product, solved)
     return inverse, -product, shared

@@ -42,3 +42,18 @@ def pair_block(inverse: Array, skew: int, first: int, second: int, out: Array) -
     for a in range(6):
         for b in range(6):
             out[a, b] = lower(inverse, skew, 6 * first + a, 6 * second + b)
+
+
+@kernel
+def add_product(inverse: Array, skew: int, left: Array, right: Array) -> None:
+    """Add ``left right`` (symmetric; (n, q) and (q, n)) to the stored part of the symmetric matrix."""
+    n, width = inverse.shape
+    for j in range(n):
+        # Band: column j from its diagonal on; dense: all of it.
+        first = j if skew == 1 else 0
+        row = inverse[j, : min(width, n - first)]
+        for k in range(right.shape[0]):
+            factor = left[j, k]
+            other = right[k, first : first + row.shape[0]]
+            for i in range(row.shape[0]):
+                row[i] += factor * other[i]
