@@ -15,7 +15,7 @@ from stereomate.errors import InputError
 if TYPE_CHECKING:
     from stereomate.parallax.homogeneity import TableRow
     from stereomate.rectify.job import RectifyJob
-    from stereomate.stereo.homogeneity import HomogeneitySummary
+    from stereomate.stereo.homogeneity_summary import HomogeneitySummary
 
 
 def register(app: typer.Typer) -> None:

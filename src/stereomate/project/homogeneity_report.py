@@ -12,7 +12,8 @@ from stereomate.rectify.job import RectifyJob
 from stereomate.report.page import Picture, Section, Table
 from stereomate.report.run_figures import svg_uri
 from stereomate.report.stereo_homogeneity import draw_homogeneity_map
-from stereomate.stereo.homogeneity import HomogeneitySummary, overview
+from stereomate.stereo.homogeneity import overview
+from stereomate.stereo.homogeneity_summary import HomogeneitySummary
 
 # Columns and rows of the map of a report, at most; tables of other heights stand on a coarser one.
 _LONGEST: Final = 128

@@ -13,7 +13,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,7 @@ from stereomate.rectify.serving import (
     serve_pixels,
     sight_bounds_of,
 )
+from stereomate.stereo.homogeneity_summary import HomogeneitySummary, map_counts, map_summary
 from stereomate.stereo.kernels import homogeneity as kernels
 from stereomate.stereo.rays import ray_nodes, steepest_tangents
 from stereomate.terrain.kernels.sight import steepest_slope
@@ -55,79 +56,6 @@ BANDS: Final = (
 # Laws are compared on every so many rows and columns.
 _STRIDE: Final = 4
 _MODEL_BLOCK: Final = 512
-# Shares are of |t_x| up to these.
-LIMITS: Final = (0.05, 0.10)
-_BINS: Final = np.linspace(-1.0, 1.0, 201)
-
-
-@dataclass(frozen=True)
-class LawSummary:
-    """Heights of objects read through a law, relative to their own, over the area seen by both.
-
-    Attributes
-    ----------
-    kind : str
-    within_5_percent, within_10_percent : float
-        Shares of the area.
-    mean, rms, largest : float
-    """
-
-    kind: str
-    within_5_percent: float
-    within_10_percent: float
-    mean: float
-    rms: float
-    largest: float
-
-
-@dataclass(frozen=True, eq=False)
-class HomogeneitySummary:
-    """A homogeneity map in figures.
-
-    Attributes
-    ----------
-    object_height_m : float
-    area_m2 : float
-        Ground that a model serves.
-    seen_by_both : float
-        Share of it on which the object appears in both photographs.
-    within_5_percent, within_10_percent : float
-        Shares of the area seen by both with \\|t_x\\| up to these.
-    t_y_within_5_percent : float
-        The same of \\|t_y\\|.
-    error_rms_m : float
-        Of object heights read through the product's law.
-    t_x_histogram : ndarray of int (200,)
-        Positions by t_x from -1 to 1.
-    laws : tuple of LawSummary
-        The product's law first.
-    path : Path or None
-    """
-
-    object_height_m: float
-    area_m2: float
-    seen_by_both: float
-    within_5_percent: float
-    within_10_percent: float
-    t_y_within_5_percent: float
-    error_rms_m: float
-    t_x_histogram: NDArray[np.int64]
-    laws: tuple[LawSummary, ...]
-    path: Path | None = None
-
-    def as_record(self) -> dict[str, Any]:
-        """Plain values."""
-        return {
-            "object_height_m": self.object_height_m,
-            "area_m2": self.area_m2,
-            "seen_by_both": self.seen_by_both,
-            "within_5_percent": self.within_5_percent,
-            "within_10_percent": self.within_10_percent,
-            "t_y_within_5_percent": self.t_y_within_5_percent,
-            "error_rms_m": self.error_rms_m,
-            "laws": [vars(law) for law in self.laws],
-            "file": None if self.path is None else self.path.name,
-        }
 
 
 def coarse_job(job: RectifyJob, resolution: float) -> RectifyJob:
@@ -268,23 +196,8 @@ class HomogeneityTask:
         """Trace and encode one chunk."""
         part = homogeneity_window(self.job, chunk.window, self.object_height_m, other_laws(self.job.law))
         blob = encode_chunk(map_profile(), self.plan, part.values)
-        summary = {"statistics": part.statistics.tolist(), **_counts(part.values)}
+        summary = {"statistics": part.statistics.tolist(), **map_counts(part.values)}
         return {"map": blob, "summary": json.dumps(summary).encode()}
-
-
-def _counts(values: Floats32) -> dict[str, Any]:
-    t_x, t_y, error, seen = np.moveaxis(values, -1, 0)
-    known = np.isfinite(t_x)
-    t_x, t_y, error = t_x[known], t_y[known], error[known].astype(np.float64)
-    return {
-        "served": int(np.isfinite(seen).sum()),
-        "both": int((seen == 3.0).sum()),
-        "known": int(known.sum()),
-        "within": [int((np.abs(t_x) <= limit).sum()) for limit in LIMITS],
-        "t_y_within": int((np.abs(t_y) <= LIMITS[0]).sum()),
-        "error_squares": float(np.sum(np.square(error[np.isfinite(error)]))),
-        "histogram": np.histogram(t_x, _BINS)[0].tolist(),
-    }
 
 
 def write_homogeneity(
@@ -341,7 +254,7 @@ def write_homogeneity(
         found = [json.loads(ledger.get(chunk.index, "summary")) for chunk in plan.chunks]
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-    return _summary(job, object_height_m, found, path)
+    return map_summary(job, (job.law, *other_laws(job.law)), object_height_m, found, path)
 
 
 def summarize(job: RectifyJob, object_height_m: float) -> HomogeneitySummary:
@@ -349,8 +262,8 @@ def summarize(job: RectifyJob, object_height_m: float) -> HomogeneitySummary:
     _check(job, object_height_m)
     cols, rows = job.grid.size
     part = homogeneity_window(job, Window(0, 0, cols, rows), object_height_m, other_laws(job.law))
-    found = {"statistics": part.statistics.tolist(), **_counts(part.values)}
-    return _summary(job, object_height_m, [found], None)
+    found = {"statistics": part.statistics.tolist(), **map_counts(part.values)}
+    return map_summary(job, (job.law, *other_laws(job.law)), object_height_m, [found], None)
 
 
 # Height model nodes of a window of an overview, at most.
@@ -376,8 +289,12 @@ def overview(
             window = Window(col0, row0, min(side, cols - col0), min(side, rows - row0))
             part = homogeneity_window(coarse, window, object_height_m, other_laws(job.law))
             values[row0 : window.row1, col0 : window.col1] = part.values
-            found.append({"statistics": part.statistics.tolist(), **_counts(part.values)})
-    return coarse, values, _summary(coarse, object_height_m, found, None)
+            found.append({"statistics": part.statistics.tolist(), **map_counts(part.values)})
+    return (
+        coarse,
+        values,
+        map_summary(coarse, (coarse.law, *other_laws(coarse.law)), object_height_m, found, None),
+    )
 
 
 def _check(job: RectifyJob, object_height_m: float) -> None:
@@ -387,43 +304,3 @@ def _check(job: RectifyJob, object_height_m: float) -> None:
         raise InputError(
             "must be positive and below the flying height", field="object_height", value=object_height_m
         )
-
-
-def _summary(
-    job: RectifyJob, object_height_m: float, found: list[dict[str, Any]], path: Path | None
-) -> HomogeneitySummary:
-    def total(key: str) -> float:
-        return float(sum(part[key] for part in found))
-
-    def share(count: float, of: float) -> float:
-        return count / of if of else math.nan
-
-    statistics = np.array([part["statistics"] for part in found])
-    sums, largest = statistics.sum(axis=0), statistics.max(axis=0)[:, kernels.LARGEST]
-    laws = []
-    for law, row, most in zip((job.law, *other_laws(job.law)), sums, largest, strict=True):
-        count = row[kernels.COUNT]
-        laws.append(
-            LawSummary(
-                law.kind,
-                share(row[kernels.WITHIN_5], count),
-                share(row[kernels.WITHIN_10], count),
-                share(row[kernels.SUM], count),
-                math.sqrt(row[kernels.SQUARES] / count) if count else math.nan,
-                float(most),
-            )
-        )
-    within = np.sum([part["within"] for part in found], axis=0)
-    known = total("known")
-    return HomogeneitySummary(
-        object_height_m=object_height_m,
-        area_m2=total("served") * (job.grid.gsd * job.frame.unit_m) ** 2,
-        seen_by_both=share(total("both"), total("served")),
-        within_5_percent=share(float(within[0]), known),
-        within_10_percent=share(float(within[1]), known),
-        t_y_within_5_percent=share(total("t_y_within"), known),
-        error_rms_m=math.sqrt(total("error_squares") / known) if known else math.nan,
-        t_x_histogram=np.sum([part["histogram"] for part in found], axis=0).astype(np.int64),
-        laws=tuple(laws),
-        path=path,
-    )
