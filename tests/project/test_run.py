@@ -319,6 +319,18 @@ def test_newer_stereo_json_names_both_forms_and_is_kept(copy):
 # --- what may be asked for --------------------------------------------------------------------------------
 
 
+def test_a_pair_is_named_by_photographs_of_the_survey(survey, tmp_path, capsys):
+    for pair, words in (
+        (("strip1_01", "strip9"), "got 'strip9' (such as strip1_"),
+        (("strip1_01",) * 2, "two"),
+    ):
+        code, _, err = command(capsys, "run", survey, "-o", tmp_path / "out", "--pair", *pair)
+        assert code == 2
+        assert "--pair: must name" in err
+        assert words in err
+        assert not (tmp_path / "out").exists()
+
+
 def test_one_pair(survey, tmp_path, capsys):
     project = variant(survey, tmp_path)
     names = sorted(p.stem for p in survey.parent.glob("strip*.tif"))
@@ -329,7 +341,7 @@ def test_one_pair(survey, tmp_path, capsys):
         "-o",
         tmp_path / "out",
         "--pair",
-        names[2],
+        f"{names[2]}.tif",
         names[1],
         "--json",
         "--threads",

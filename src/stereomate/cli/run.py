@@ -51,6 +51,7 @@ def _run(
     is matched from them, as by `stereomate surface`.
     """
     from stereomate.project import load
+    from stereomate.project.loader import named_pair
     from stereomate.project.run import RunOptions, run, summary_record
 
     started = time.monotonic()
@@ -59,7 +60,7 @@ def _run(
     options = RunOptions(
         threads=settings.threads,
         scheduler=scheduler,
-        pairs=None if pair is None else (pair,),
+        pairs=None if pair is None else (named_pair(pair, loaded.survey, project, "--pair"),),
         stereo=not ortho_only,
         agreement=not no_agreement,
         fresh=fresh,

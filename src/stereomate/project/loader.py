@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
@@ -227,20 +228,31 @@ def _note_datum(project: MapFrame, other: MapFrame, what: str, notes: list[str])
 def _pairs(section: ProductsSection, survey: Survey, path: Path) -> tuple[tuple[str, str], ...] | None:
     if section.pairs is None:
         return None
+    return tuple(
+        named_pair(pair, survey, path, f"products.pairs[{number}]")
+        for number, pair in enumerate(section.pairs, 1)
+    )
+
+
+def named_pair(pair: tuple[str, str], survey: Survey, path: Path, field: str) -> tuple[str, str]:
+    """Names in the survey of two photographs, called by these names or by their files.
+
+    Raises
+    ------
+    ProjectError
+        If one is not in the survey, or both are the same.
+    """
     names = {photo.name: photo.name for photo in survey.photographs}
     names |= {photo.path.name: photo.name for photo in survey.photographs if photo.path is not None}
-    pairs = []
-    for number, pair in enumerate(section.pairs, 1):
-        field = f"products.pairs[{number}]"
-        unknown = [name for name in pair if name not in names]
-        if unknown:
-            rule = "must name photographs of the survey"
-            raise ProjectError(rule, file=path, field=field, value=unknown[0])
-        left, right = (names[name] for name in pair)
-        if left == right:
-            raise ProjectError("must name two photographs", file=path, field=field, value=list(pair))
-        pairs.append((left, right))
-    return tuple(pairs)
+    unknown = [name for name in pair if name not in names]
+    if unknown:
+        close = difflib.get_close_matches(unknown[0], names, 3) or [p.name for p in survey.photographs[:3]]
+        rule, hint = "must name photographs of the survey", f"such as {', '.join(close)}"
+        raise ProjectError(rule, file=path, field=field, value=unknown[0], hint=hint)
+    left, right = (names[name] for name in pair)
+    if left == right:
+        raise ProjectError("must name two photographs", file=path, field=field, value=list(pair))
+    return left, right
 
 
 def _seam_file(section: ProductsSection, path: Path) -> Path | None:
