@@ -12,8 +12,12 @@ from stereomate.errors import HeightSystemError, ProjectError
 from stereomate.frames.attitude import AttitudeConvention, object_from_camera
 from stereomate.frames.tangent import TangentFrame
 from stereomate.frames.transform import map_from_tangent, tangent_from_map
+from stereomate.measurement.database import CameraRow, ImageRow, MeasurementDatabase, PairRow
+from stereomate.measurement.features import Features
+from stereomate.measurement.matching import Matches
 from stereomate.project import load
 from stereomate.project.orient import orient
+from stereomate.project.orient_inputs import read_orient_inputs
 
 SIGMA = "position_sigma_m = [0.05, 0.05, 0.05]"
 
@@ -145,3 +149,47 @@ def test_parts_of_single_strips_are_placed_by_positions_and_stated_angles(tmp_pa
         off = np.array(entry["omega_phi_kappa_deg"]) - block.opk_deg[k]
         assert np.abs((off + 180.0) % 360.0 - 180.0).max() < 1.0
         assert np.abs(np.array(entry["position"]) - block.centres[k]).max() < 0.2
+
+
+def test_tracks_of_opensfm_take_the_size_of_the_camera(block: MeasuredBlock, tmp_path: Path) -> None:
+    path = block.write(tmp_path, sigma_px=0.001)
+    rows = ["OPENSFM_TRACKS_VERSION_v2"]
+    for k, (point, photo, col, row) in enumerate(block.image):
+        x, y = (col - 1500.0) / 3000.0, (row - 1000.0) / 3000.0
+        rows.append(f"{block.names[photo]}\t{point}\t{k}\t{x:.9f}\t{y:.9f}\t0.001\t0\t0\t0\t-1\t-1")
+    (tmp_path / "tracks.csv").write_text("\n".join(rows), encoding="utf-8")
+    text = path.read_text(encoding="utf-8").replace("ties.txt", "tracks.csv")
+    path.write_text(text, encoding="utf-8")
+    inputs = read_orient_inputs(path)
+    assert [photo.name for photo in inputs.photos] == sorted(block.names)
+    assert inputs.tie_points is not None
+    np.testing.assert_allclose(inputs.tie_points.pixels, np.array(block.image)[:, 2:], atol=1e-4)
+
+
+def test_a_colmap_database_brings_its_cameras(block: MeasuredBlock, tmp_path: Path) -> None:
+    path = block.write(tmp_path)
+    image = np.array(block.image)
+    pixels = [image[image[:, 1] == k][:, 2:] for k in (0, 1)]
+    points = [image[image[:, 1] == k][:, 0] for k in (0, 1)]
+    _, left, right = np.intersect1d(*points, return_indices=True)
+    with MeasurementDatabase.open(tmp_path / "matched.db") as database:
+        simple_radial = CameraRow(2, (3000, 2000), (3010.0, 1500.0, 1000.0, -0.01))
+        database.set_photographs({1: simple_radial}, [ImageRow(1, "a.jpg", 1), ImageRow(2, "b.jpg", 1)])
+        for number, seen in enumerate(pixels, 1):
+            n = len(seen)
+            features = Features(seen, *(np.ones(n),) * 3, np.zeros((n, 128), np.float32))
+            database.put_features(number, features, "key", {})
+        rows = np.column_stack([left, right])
+        matches = Matches(left, right, np.zeros(len(left)), np.zeros(len(left)))
+        database.put_pair(PairRow(1, 2, rows), matches, "key", {})
+    text = path.read_text(encoding="utf-8").replace("ties.txt", "matched.db")
+    begin, end = text.index("[[camera]]"), text.index("[photos]")
+    path.write_text(text[:begin] + text[end:], encoding="utf-8")
+    inputs = read_orient_inputs(path)
+    assert [photo.path.name for photo in inputs.photos] == ["a.jpg", "b.jpg"]
+    camera = inputs.photos[0].camera
+    assert camera.size_px == (3000, 2000)
+    assert camera.distortion.k1 == -0.01  # type: ignore[union-attr]
+    np.testing.assert_allclose(camera.rays_from_image([1500.0, 1000.0]), [0.0, 0.0, -1.0], atol=1e-12)
+    assert inputs.tie_points is not None
+    assert len(inputs.tie_points.points) == 2 * len(left)
