@@ -256,3 +256,22 @@ def test_bad_input_by_the_command_line(made, tmp_path):
         arguments = [command, str(folder / "out"), *([str(far)] if command == "measure" else [])]
         result = CliRunner().invoke(application(), arguments)
         assert "edited or resampled" in str(result.exception)
+    # back to the rasters as they were: one place for both photographs, no base at all, no height model
+    shutil.copyfile(out / "mate.tif", folder / "out" / "mate.tif")
+    json_file = folder / "out" / "stereo.json"
+    good = json.loads(json_file.read_text())
+    same = json.loads(json_file.read_text())
+    for photograph in same["products"][0]["photographs"]:
+        photograph["centre"] = good["products"][0]["photographs"][0]["centre"]
+    json_file.write_text(json.dumps(same))
+    record = json.loads(run("measure", folder / "out", tmp_path / "pairs.csv", "--json"))
+    assert all("no_base" in point["flags"] for point in record["points"])
+    bad = json.loads(json.dumps(good))
+    bad["products"][0]["law"]["base_m"] = 0.0
+    json_file.write_text(json.dumps(bad))
+    result = CliRunner().invoke(application(), ["measure", str(folder / "out"), str(far)])
+    assert "base_m: must be a positive number" in str(result.exception)
+    good["products"][0]["height_model"]["file"] = "gone.tif"
+    json_file.write_text(json.dumps(good))
+    result = CliRunner().invoke(application(), ["measure", str(folder / "out"), str(far)])
+    assert "must be there: every point is measured over the height model" in str(result.exception)
