@@ -255,8 +255,10 @@ def test_files_that_were_changed_end_the_server(tmp_path, monkeypatch):
         raise FormatError("was edited", file="ortho.tif")
 
     address: list[str] = []
-    with pytest.raises(FormatError, match="was edited"):
-        server.serve(PublishedFolder(tmp_path), 0, address.append, check)
+    with concurrent.futures.ThreadPoolExecutor(1) as pool:
+        served = pool.submit(server.serve, PublishedFolder(tmp_path), 0, address.append, check)
+        with pytest.raises(FormatError, match="was edited"):
+            served.result(timeout=30)
     assert answers == [b"page"]
 
 
@@ -424,7 +426,7 @@ def test_first_picture_is_named_at_once(site):
     """Modules that a browser finds one inside the other are waited for in turn: they are one, and records
     and coarsest tiles are asked for beside it."""
     text = site.read("index.html").decode()
-    assert re.findall(r'<script type="module" src="([^"]+)"', text) == ["page.js"]
+    assert re.findall(r'<script type="module" src="([^"]+)" blocking="render"', text) == ["page.js"]
     assert [name for name in site.names() if name.endswith(".js")] == ["page.js"]
     wanted = re.findall(r'<link rel="preload" as="fetch" href="([^"]+)" crossorigin', text)
     assert wanted[:2] == ["data/products.json", "data/0/product.json"]

@@ -60,10 +60,10 @@ def _with_first(page: str, first: tuple[str, ...]) -> str:
         f'<link rel="preload" as="fetch" href="{escape(address)}" crossorigin="anonymous">\n'
         for address in first
     )
-    before, script, after = page.partition(f'<script type="module" src="{_MAIN}"></script>\n')
+    before, script, after = page.partition(f'src="{_MAIN}" blocking="render"></script>\n')
     if not script:
         raise FormatError(f"does not start {_MAIN}", file=Path("index.html"))
-    return f'{before}<script type="module" src="{JOINED}"></script>\n{links}{after}'
+    return f"{before}{script.replace(_MAIN, JOINED)}{links}{after}"
 
 
 @functools.cache

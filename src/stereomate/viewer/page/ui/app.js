@@ -40,7 +40,10 @@ export class App {
     this.rest = null;
     this.reading = null;
     this.canvas = $('view');
-    this.changed = () => { this.dirty = true; };
+    this.changed = () => {
+      this.dirty = true;
+      if (!this.shown && this.renderer.isComing) this.#draw(performance.now());
+    };
     this.renderer = new Renderer(this.canvas, begun, product, this.changed);
     this.view = viewOf(null, product);
     this.motion = new Motion(this.view);
@@ -61,6 +64,8 @@ export class App {
     addEventListener('hashchange', async () => this.#take(await stateOfHash(location.hash)));
     document.title = `${this.product.title || this.product.name || 'Stereo product'} – stereo viewer`;
     const pictured = new Promise((done) => { this.pictured = done; });
+    // asks for the tiles
+    this.#draw(performance.now());
     requestAnimationFrame((time) => this.#frame(time));
     // what is measured with, and drawn by, is fetched and computed when there is something to see
     await pictured;
@@ -224,7 +229,6 @@ export class App {
 
   #frame(time) {
     requestAnimationFrame((next) => this.#frame(next));
-    const started = performance.now();
     const seconds = Math.min((time - this.last) / 1000, 0.1);
     this.last = time;
     const moves = this.motion.step(seconds);
@@ -233,10 +237,12 @@ export class App {
       const phase = Math.floor(time / (this.motion.calm.matches ? WIGGLE_CALM_MS : WIGGLE_MS)) % 2;
       if (phase !== this.phase) { this.phase = phase; this.dirty = true; }
     }
-    if (!this.dirty) {
-      this.#idle(time);
-      return;
-    }
+    if (this.dirty) this.#draw(time);
+    else this.#idle(time);
+  }
+
+  #draw(time) {
+    const started = performance.now();
     const gap = this.drewLast === this.turn ? Math.min(time - this.drew, LONG_FRAME_MS) : 0;
     this.drewLast = ++this.turn;
     this.drew = time;
@@ -255,6 +261,7 @@ export class App {
 
   #firstPicture() {
     this.shown = true;
+    $('app').classList.remove('starting');
     performance.mark('first picture');
     this.renderer.whenDrawn(() => {
       performance.mark('first picture drawn');

@@ -150,6 +150,11 @@ export class Renderer {
     return this.hasBegun;
   }
 
+  // Whether the first picture can be drawn now.
+  get isComing() {
+    return this.cache.ready.length >= this.product.tiles.eyes.length || this.cache.failures > 0;
+  }
+
   // Draw a frame, uploading tiles for some milliseconds; whether another one is needed for those left.
   draw(view, phase, uploadMs) {
     const gl = this.gl, mode = MODES[view.mode];
