@@ -24,6 +24,8 @@ from stereomate.synthetic.survey import SyntheticSurvey
 Array = NDArray[np.float64]
 Product = Literal["orthophoto", "stereomate"]
 
+# Side of the ground within which matches are taken to err alike, pixels.
+_BLOCK_PX: Final = 256
 # Ground closer than this to the place where it would be looked for, in pixels, when a row is scanned.
 _SCAN_STEP_PX: Final = 0.25
 _WINDOW: Final = (256, 48)
@@ -50,7 +52,8 @@ class MatchedError:
     height_mean_m, height_sigma_m : float
         Heights read back through the law less true heights; sigma from the nmad.
     height_bound_m : float
-        Three standard deviations of the mean: larger means are a bias.
+        Three standard deviations of the mean: larger means are a bias. Neighbouring matches err alike, so the
+        deviation is that of blocks of ground, not of single matches.
     """
 
     count: int
@@ -213,5 +216,15 @@ def matched_error(survey: SyntheticSurvey, job: RectifyJob, agreement: Agreement
         (float(spread[0]), float(spread[1])),
         float(error.mean()),
         sigma,
-        3.0 * float(error.std(ddof=1)) / float(np.sqrt(len(error))) if len(error) > 1 else float("nan"),
+        3.0 * _error_of_mean(error, job.grid.pixel_from_map(points)),
     )
+
+
+def _error_of_mean(values: Array, pixels: Array) -> float:
+    """Standard deviation of a mean of values that err alike within blocks of ground; NaN for one block."""
+    _, block = np.unique(np.floor(pixels / _BLOCK_PX).astype(np.int64), axis=0, return_inverse=True)
+    count = int(block.max()) + 1
+    if count < 2:
+        return float("nan")
+    away = np.bincount(block, values - values.mean())
+    return float(np.sqrt(np.sum(away**2) * count / (count - 1.0)) / len(values))
