@@ -67,6 +67,14 @@ def test_newer_form_names_both(small):
     fails(small, errors.FormatError, "form 2", "form 1", "install a newer")
 
 
+def test_two_cameras_under_one_name(small):
+    text = small.path.read_text()
+    start = text.index("[[camera]]")
+    end = text.index("\n[", start + 1)
+    small.path.write_text(text + "\n" + text[start:end] + "\n")
+    fails(small, errors.ProjectError, "camera[2].name", "names two cameras alike")
+
+
 def test_missing_photograph(small):
     small.replace("project.toml", '"photo_*.tif"', '["photo_1.tif", "photo_2.tif"]')
     (small.folder / "photo_2.tif").unlink()

@@ -44,11 +44,14 @@ def test_publish_then_view_both(run_folder, tmp_path, capsys):
     record = json.loads((out / "data/0/product.json").read_text())
     assert record["title"] == "A & B"
     assert record["homogeneity"] == [5.0, 20.0]
-    for arguments in ([str(run_folder), "--no-verify"], [str(out)]):
+    project = json.loads((run_folder / "stereo.json").read_text())["run"]["project"]
+    assert project
+    for arguments, title in (([str(run_folder), "--no-verify"], project), ([str(out)], "A & B")):
         process, address = started(arguments)
         assert address.startswith("http://127.0.0.1:")
         assert b"<title>" in ask(address, "")
-        assert json.loads(ask(address, "data/0/product.json"))["key"] == record["key"]
+        asked = json.loads(ask(address, "data/0/product.json"))
+        assert (asked["key"], asked["title"]) == (record["key"], title)
         ended(process)
 
 

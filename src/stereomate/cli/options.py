@@ -28,5 +28,7 @@ ObjectSurface = Annotated[
 ShownPoints = Annotated[
     Path | None, typer.Option("--points", help="Control and check points to show: name, x, y, z, type.")
 ]
-Title = Annotated[str, typer.Option("--title", help="Shown on the page and on prints.")]
+Title = Annotated[
+    str, typer.Option("--title", help="Shown on the page and on prints; the project's name if not given.")
+]
 Credits = Annotated[str, typer.Option("--credits", help="Shown on the page and on prints.")]

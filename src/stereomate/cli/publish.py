@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -89,9 +90,9 @@ def heights_of_text(text: str) -> tuple[float, ...]:
 
 
 def open_site(product: Path, name: str | None, options: SiteOptions, verify: bool) -> Site:
-    """The site of the products of a run, or of one of them."""
+    """The site of the products of a run, or of one of them; titled as its project where no title is given."""
     from stereomate.errors import FormatError
-    from stereomate.stereo.product import read_products
+    from stereomate.stereo.product import read_document, read_products
     from stereomate.viewer.site import Site
 
     path = product / "stereo.json" if product.is_dir() else product
@@ -101,4 +102,5 @@ def open_site(product: Path, name: str | None, options: SiteOptions, verify: boo
     if verify:
         for one in products:
             one.verify()
-    return Site(products, options)
+    title = options.title or str(read_document(path)["run"].get("project") or "")
+    return Site(products, replace(options, title=title))
