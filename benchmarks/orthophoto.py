@@ -97,7 +97,7 @@ def _write_parameters(folder: Path, copies: int) -> None:
 
 
 def write_pair(folder: Path) -> None:
-    """The same photograph twice, 440 m apart, and a project over ground that both show."""
+    """The same photograph twice, 440 m apart; projects over ground that both show, of both and of one."""
     pair = folder / "pair"
     pair.mkdir(exist_ok=True)
     for k in range(2):
@@ -110,8 +110,10 @@ def write_pair(folder: Path) -> None:
     (pair / "eo.csv").write_text("\n".join(["filename,x,y,z,omega,phi,kappa", *rows]) + "\n")
     pitch = 0.004
     c = FLYING_HEIGHT * pitch / GSD
-    text = _project("bilinear", "zstd", "photo*.tif", c, (SIZE[0] * pitch, SIZE[1] * pitch))
-    (pair / "bilinear_zstd.toml").write_text(text + "bounds = [0.0, -300.0, 440.0, 300.0]\n")
+    # Alone means from one photograph: an orthophoto of two would look for seams, which the pair has none of.
+    for name, photos in (("both.toml", "photo*.tif"), ("alone.toml", "photo0.tif")):
+        text = _project("bilinear", "zstd", photos, c, (SIZE[0] * pitch, SIZE[1] * pitch))
+        (pair / name).write_text(text + "bounds = [0.0, -300.0, 440.0, 300.0]\n")
 
 
 def _project(interpolation: str, codec: str, photos: str, c: float, sensor: tuple[float, float]) -> str:
@@ -255,8 +257,8 @@ def stereo_rows(folder: Path) -> list[dict[str, Any]]:
     pair = folder / "pair"
     both, alone = in_turn(
         [
-            lambda: ours(pair, "bilinear_zstd.toml", "--no-agreement"),
-            lambda: ours(pair, "bilinear_zstd.toml", "--ortho-only"),
+            lambda: ours(pair, "both.toml", "--no-agreement"),
+            lambda: ours(pair, "alone.toml", "--ortho-only"),
         ],
         RUNS,
     )
