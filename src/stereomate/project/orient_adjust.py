@@ -17,6 +17,7 @@ from stereomate.block.start import KnownPoints
 from stereomate.block.variance import estimate_variance_components
 from stereomate.camera.model import Camera
 from stereomate.errors import NotDeterminedError
+from stereomate.project.orient_camera_doubts import HELD_FIRST, undetermined
 from stereomate.project.orient_heights import height_findings
 from stereomate.project.orient_inputs import OrientInputs
 from stereomate.project.orient_known import control_measurements
@@ -28,21 +29,7 @@ from stereomate.project.orient_screen import screen
 Array = NDArray[np.float64]
 
 _RADIAL: Final = ("k1", "k2", "k3", "k4")
-# What is held first where something is not determined.
-_ORDER: Final = ("principal_distance", "principal_point")
-_NAMES: Final = {
-    "principal_distance": ("principal_distance_mm",),
-    "principal_point": ("principal_point_x_mm", "principal_point_y_mm"),
-}
 _TRIAL_ITERATIONS: Final = 25
-# In standard deviations of the prior.
-_LARGEST_CHANGE: Final = 2.5
-_CORRELATED: Final = 0.95
-# Share of its prior standard deviation that a parameter keeps when the block says next to nothing about it.
-_NOT_IMPROVED: Final = 0.5
-# Part of the photographs whose height must be correlated with the principal distance to call it inseparable.
-_MOST: Final = 0.5
-
 UNDETERMINED: Final = "too few good observations determine their orientation"
 
 
@@ -250,80 +237,19 @@ def _more_parameters(
             return data, assembled, result
         try:
             trial = adjust_assembled(clean.with_calibration(keys), start, plain)
-            doubts = _doubts(data, keys, trial[1])
+            doubts = undetermined(data, keys, trial[1])
         except NotDeterminedError as error:
             doubts = {"principal_distance": str(error)}
         if not doubts:
             released = data.with_calibration(keys)
             final = adjust_assembled(released, start, options)
             return released, *final
-        first = next(key for key in (*_ORDER, *doubts) if key in doubts and key not in held)
+        first = next(key for key in (*HELD_FIRST, *doubts) if key in doubts and key not in held)
         held.add(first)
         if first == "principal_point":
             held |= {"p1", "p2"}
         findings.append(doubts[first])
     return data, assembled, result
-
-
-def _doubts(data: BlockData, keys: dict[str, tuple[str, ...]], result: BlockAdjustment) -> dict[str, str]:
-    """Parameters that the block does not determine, with the reason: key -> finding."""
-    doubts: dict[str, str] = {}
-    statistics = result.statistics
-    for k, camera in enumerate(data.cameras):
-        free = result.network.cameras[k].free
-        for key in keys[camera.name]:
-            reason = ""
-            for name in _NAMES.get(key, (key,)):
-                place = result.shared_names.index(f"{camera.name}: {name}")
-                change = float(result.shared[place]) - _nominal(result.network.cameras[k].camera, name)
-                share = abs(change) / free[name]
-                if share > _LARGEST_CHANGE:
-                    reason = f"left free it runs to {result.shared[place]:.4g}, {share:.1f} times its prior"
-                elif not result.converged:
-                    reason = "left free the adjustment does not converge"
-                elif statistics is None or not statistics.shared_sigma[place] < _NOT_IMPROVED * free[name]:
-                    reason = "the block says next to nothing about it"
-                elif key == "principal_distance":
-                    reason = _with_height(result, place, k)
-                if reason:
-                    break
-            if reason and key in _ORDER and key not in doubts:
-                doubts[key] = _finding(key, camera, reason)
-    return doubts
-
-
-def _with_height(result: BlockAdjustment, place: int, camera: int) -> str:
-    """Whether principal distance and height of most photographs are as good as one unknown."""
-    assert result.statistics is not None  # asked before
-    cofactors = result.statistics.cofactors
-    mine = result.network.photographs.camera == camera
-    height = cofactors.photos[mine, 2, 2] * cofactors.shared[place, place]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        correlation = cofactors.photo_shared[mine, 2, place] / np.sqrt(height)
-    over = np.abs(correlation) > _CORRELATED
-    if np.count_nonzero(over) < _MOST * np.count_nonzero(mine):
-        return ""
-    largest = float(correlation[np.argmax(np.abs(correlation))])
-    return f"its correlation with their heights is {largest:.3f}"
-
-
-def _finding(key: str, camera: Camera, reason: str) -> str:
-    if key == "principal_distance":
-        return (
-            f"principal distance of {camera.name} and flying height are not separable in this block "
-            f"({reason}): it is held at {camera.principal_distance_mm:g} mm, and an error of it goes into "
-            "the heights above ground in proportion"
-        )
-    return (
-        f"principal point of {camera.name}, tilts and positions are not separable in this block "
-        f"({reason}): it is held"
-    )
-
-
-def _nominal(camera: Camera, name: str) -> float:
-    if name in camera.parameter_names:
-        return camera.parameters[camera.parameter_names.index(name)]
-    return 0.0
 
 
 def _taking_part(
