@@ -18,7 +18,7 @@ from stereomate.raster import open_heights, open_photo
 from stereomate.synthetic.files import project_text, write_heights, write_survey
 from stereomate.synthetic.options import SurveyOptions
 from stereomate.synthetic.survey import make_survey
-from stereomate.synthetic.truth import matched_error, true_mate_ground, warp_error
+from stereomate.synthetic.truth import error_of_mean, matched_error, true_mate_ground, warp_error
 from stereomate.tiles.executor import Threads
 
 
@@ -188,3 +188,14 @@ def test_the_survey_of_the_demo_keeps_every_promise(seed, tmp_path):
     assert np.abs(match.median_px).max() < 0.02
     assert np.max(match.nmad_px) < 0.12
     assert abs(match.height_mean_m) < match.height_bound_m
+
+
+def test_the_error_of_a_mean_counts_blocks_of_ground_that_err_alike():
+    rng = np.random.default_rng(3)
+    pixels = rng.uniform(0.0, 20 * 256.0, (8000, 2))
+    alone = rng.normal(0.0, 0.02, 8000)
+    assert error_of_mean(alone, pixels) == pytest.approx(0.02 / np.sqrt(8000), rel=0.15)
+    cell = np.floor(pixels / 256.0).astype(int)
+    together = rng.normal(0.0, 0.02, (20, 20))[cell[:, 0], cell[:, 1]]
+    assert error_of_mean(together, pixels) == pytest.approx(0.02 / np.sqrt(400), rel=0.15)
+    assert np.isnan(error_of_mean(alone[:5], np.zeros((5, 2))))

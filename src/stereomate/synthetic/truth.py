@@ -216,12 +216,16 @@ def matched_error(survey: SyntheticSurvey, job: RectifyJob, agreement: Agreement
         (float(spread[0]), float(spread[1])),
         float(error.mean()),
         sigma,
-        3.0 * _error_of_mean(error, job.grid.pixel_from_map(points)),
+        3.0 * error_of_mean(error, job.grid.pixel_from_map(points)),
     )
 
 
-def _error_of_mean(values: Array, pixels: Array) -> float:
-    """Standard deviation of a mean of values that err alike within blocks of ground; NaN for one block."""
+def error_of_mean(values: Array, pixels: Array) -> float:
+    """Standard deviation of the mean of values (n,) that err alike within blocks of ground.
+
+    By the sums of blocks of 256 product pixels (n, 2), with no model of how they are correlated: the variance of
+    a mean of clusters. NaN where all lie in one block.
+    """
     _, block = np.unique(np.floor(pixels / _BLOCK_PX).astype(np.int64), axis=0, return_inverse=True)
     count = int(block.max()) + 1
     if count < 2:
