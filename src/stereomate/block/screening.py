@@ -101,6 +101,3 @@ def screening_note(network: Network, found: dict[Key, float]) -> str:
         f"{len(rows)} control points or positions lie far from where the photographs have them and were left "
         f"out from the start: {', '.join(places)}"
     )
-
-
-__all__ = ["implausible", "screening_note"]

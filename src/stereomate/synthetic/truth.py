@@ -223,8 +223,8 @@ def matched_error(survey: SyntheticSurvey, job: RectifyJob, agreement: Agreement
 def error_of_mean(values: Array, pixels: Array) -> float:
     """Standard deviation of the mean of values (n,) that err alike within blocks of ground.
 
-    By the sums of blocks of 256 x 256 of the product's `pixels` (n, 2): the variance of a mean of clusters, with
-    no model of how they are correlated. NaN where all lie in one block.
+    By the sums of blocks of 256 x 256 of the product's `pixels` (n, 2): the variance of a mean of clusters,
+    with no model of how they are correlated. NaN where all lie in one block.
     """
     _, block = np.unique(np.floor(pixels / _BLOCK_PX).astype(np.int64), axis=0, return_inverse=True)
     count = int(block.max()) + 1
