@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from stereomate.camera.distortion import (
     BrownDistortion,
     Distortion,
+    EbnerDeformation,
     FisheyeDistortion,
     NoDistortion,
     OpenCVDistortion,
@@ -47,6 +50,23 @@ for _convention in ("opencv", "agisoft", "usgs", "australis"):
                 )
 
 
+# Cameras whose film is deformed or whose scan is projective: distortion, Ebner's twelve, projective part.
+FILMS: dict[str, tuple[str, tuple[float, ...] | None, tuple[float, float]]] = {
+    "ebner": (
+        "pinhole",
+        (0.02, -0.01, 0.015, -0.02, 0.01, 0.02, -0.01, 0.02, 0.01, -0.02, 0.01, 0.01),
+        (0, 0),
+    ),
+    "projective": ("pinhole", None, (2e-4, -3e-4)),
+    "ebner-opencv": ("opencv-ideal_to_measured-normalised-True", (0.02, -0.01, *(0.01,) * 10), (1e-4, 2e-4)),
+    "ebner-usgs": ("usgs-measured_to_ideal-mm-True", (-0.02, 0.03, *(-0.01,) * 10), (-1e-4, 2e-4)),
+}
+
+
 def camera(name: str, size_px: tuple[int, int] = (4000, 3000)) -> Camera:
     """A camera of 32 x 24 mm, c = 24 mm, with the named distortion."""
+    if name in FILMS:
+        lens, twelve, projective = FILMS[name]
+        deformation = None if twelve is None else EbnerDeformation(11.0, *twelve)
+        return replace(camera(lens, size_px), deformation=deformation, projective_per_mm=projective)
     return Camera.from_pixel_pitch(name, size_px, 24.0, 32.0 / size_px[0], (0.1, -0.05), DISTORTIONS[name])

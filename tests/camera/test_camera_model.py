@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
-from camera_zoo import DISTORTIONS, camera
+from camera_zoo import DISTORTIONS, FILMS, camera
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stereomate.camera.distortion import BrownDistortion, FisheyeDistortion, OpenCVDistortion
+from stereomate.camera.distortion import (
+    BrownDistortion,
+    EbnerDeformation,
+    FisheyeDistortion,
+    OpenCVDistortion,
+)
 from stereomate.camera.model import Camera
 from stereomate.errors import InputError
 
 
-@pytest.mark.parametrize("name", DISTORTIONS)
+@pytest.mark.parametrize("name", [*DISTORTIONS, *FILMS])
 def test_both_directions_agree_to_1e_10_of_the_format(name):
     cam = camera(name)
     columns, rows = np.meshgrid(np.linspace(0, 3999.999, 81), np.linspace(0, 2999.999, 61))
@@ -27,7 +34,7 @@ def test_both_directions_agree_to_1e_10_of_the_format(name):
     assert inside[1:-1, 1:-1].all()
     assert cam.covers_whole_array()
     # and the distortion of this test is a real one
-    if name != "pinhole":
+    if name != "pinhole" and name not in FILMS:
         straight = (cam.photo_from_image(pixels) - cam.principal_point_mm) / cam.principal_distance_mm
         assert np.abs(straight - rays[..., :2]).max() > 0.01
 
@@ -313,7 +320,7 @@ def _central(function, at, steps):
     return np.stack(columns, axis=-1)
 
 
-@pytest.mark.parametrize("name", DISTORTIONS)
+@pytest.mark.parametrize("name", [*DISTORTIONS, *FILMS])
 def test_jacobians_are_the_central_differences(name):
     cam = camera(name)
     points = cam.rays_from_image(np.random.default_rng(8).uniform(100, 2900, (20, 2))) * 7.0
@@ -333,7 +340,7 @@ def test_jacobians_are_the_central_differences(name):
 
 
 def test_parameters_go_round():
-    for name in DISTORTIONS:
+    for name in (*DISTORTIONS, *FILMS):
         cam = camera(name)
         assert len(cam.parameters) == len(cam.parameter_names)
         assert cam.with_parameters(cam.parameters) == cam
@@ -342,3 +349,86 @@ def test_parameters_go_round():
             assert named[field] == getattr(cam.distortion, field)
     with pytest.raises(InputError, match="interior parameters"):
         camera("pinhole").with_parameters([1.0])
+
+
+def test_ebner_is_orthogonal_at_his_nine_points_and_to_the_exterior_orientation():
+    b, c = 92.0, 153.0
+    x, y = (v.ravel() for v in np.meshgrid(*[[-b, 0.0, b]] * 2))
+    film = Camera.from_pixel_pitch("f", (2300, 2300), c, 0.1)
+    columns = []
+    for i in range(12):
+        deformed = replace(film, deformation=EbnerDeformation(b, **{f"b{i + 1}": 1e-3}))
+        pixels = deformed.image_from_camera(np.stack([x / c, y / c, -np.ones(9)], axis=-1))[0]
+        moved = film.photo_from_image(pixels) - np.stack([x, y], axis=-1)
+        columns.append(moved.ravel() / 1e-3)
+    one, none = np.ones(9), np.zeros(9)
+    exterior = [
+        (one, none),
+        (none, one),
+        (x, y),
+        (-y, x),
+        (c + x * x / c, x * y / c),
+        (x * y / c, c + y * y / c),
+    ]
+    columns += [np.stack(pair, axis=-1).ravel() for pair in exterior]
+    normal = np.array(columns) @ np.array(columns).T
+    cosines = normal / np.sqrt(np.outer(np.diag(normal), np.diag(normal)))
+    # Shifts and tilts are the same within a vertical photograph: those four alone are not orthogonal.
+    within = np.ones((18, 18), bool)
+    within[12:, 12:] = False
+    np.testing.assert_allclose(cosines[within], np.eye(18)[within], atol=1e-9)
+    # Twelve and six are all that eighteen coordinates can show.
+    assert np.linalg.matrix_rank(np.array(columns) / np.sqrt(np.diag(normal))[:, None]) == 18
+
+
+def test_ebner_in_his_own_form():
+    # H. Ebner (1976), coefficients of unscaled coordinates.
+    b, own = (
+        92.0,
+        np.random.default_rng(4).uniform(-1, 1, 12) * 1e-3 / 92.0 ** np.repeat([0, 1, 2, 3], [2, 4, 4, 2]),
+    )
+    powers = np.repeat([1, 2, 3, 4], [2, 4, 4, 2])
+    film = Camera.from_pixel_pitch("f", (2300, 2300), 153.0, 0.1)
+    film = replace(film, deformation=EbnerDeformation(b, *(own * b**powers).tolist()))
+    x, y = np.random.default_rng(5).uniform(-110, 110, (2, 50))
+    pixels = film.image_from_camera(np.stack([x / 153.0, y / 153.0, -np.ones(50)], axis=-1))[0]
+    b1, b2, b3, b4, b5, b6, b7, b8, b9, b10, b11, b12 = own
+    n, m = x * x - 2 * b * b / 3, y * y - 2 * b * b / 3
+    dx = (
+        b1 * x
+        + b2 * y
+        - b3 * (2 * x * x - 4 * b * b / 3)
+        + b4 * x * y
+        + b5 * m
+        + b7 * x * m
+        + b9 * y * n
+        + b11 * n * m
+    )
+    dy = (
+        -b1 * y
+        + b2 * x
+        + b3 * x * y
+        - b4 * (2 * y * y - 4 * b * b / 3)
+        + b6 * n
+        + b8 * y * n
+        + b10 * x * m
+        + b12 * n * m
+    )
+    np.testing.assert_allclose(film.photo_from_image(pixels), np.stack([x + dx, y + dy], -1), atol=1e-9)
+
+
+def test_deformation_that_folds_the_film_is_nowhere_and_fisheyes_have_none():
+    film = Camera.from_pixel_pitch("f", (2300, 2300), 153.0, 0.1)
+    folded = replace(film, deformation=EbnerDeformation(92.0, b11=200.0))
+    pixels, inside = folded.image_from_camera([[0.0, 0.0, -1.0], [-0.75, 0.75, -1.0], [9.0, 9.0, -1.0]])
+    assert np.isfinite(pixels[0]).all()
+    assert not inside[1:].any()
+    assert np.isnan(pixels[1:]).all()
+    with pytest.raises(InputError, match="distortion"):
+        replace(film, distortion=FisheyeDistortion(), deformation=EbnerDeformation(92.0))
+    with pytest.raises(InputError, match=r"b3"):
+        EbnerDeformation(92.0, b3=float("nan"))
+    with pytest.raises(InputError, match="spacing_mm"):
+        EbnerDeformation(0.0)
+    with pytest.raises(InputError, match="projective_per_mm"):
+        replace(film, projective_per_mm=(float("inf"), 0.0))

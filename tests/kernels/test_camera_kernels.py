@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from stereomate.camera import kernels
-from stereomate.camera.distortion import BrownDistortion, FisheyeDistortion, NoDistortion, OpenCVDistortion
+from stereomate.camera.distortion import (
+    BrownDistortion,
+    EbnerDeformation,
+    FisheyeDistortion,
+    NoDistortion,
+    OpenCVDistortion,
+)
 from stereomate.camera.model import Camera
 
 _CERTIFICATE = BrownDistortion.from_certificate((1e-4, -2e-8, 1e-12), (1e-7, -2e-7), (0.02, -0.03))
@@ -25,6 +33,11 @@ CAMERAS = {
     ),
     "fisheye": Camera.from_pixel_pitch("y", (2300, 2200), 153.0, 0.1, (0, 0), FisheyeDistortion(0.01, -5e-3)),
 }  # fmt: skip
+_TWELVE = EbnerDeformation(92.0, *(0.02 * (-1) ** i + 0.003 * i for i in range(12)))
+for _name in ("pinhole", "brown", "film", "strong"):
+    CAMERAS[f"ebner-{_name}"] = replace(
+        CAMERAS[_name], deformation=_TWELVE, projective_per_mm=(2e-5, -1e-5), format_mm=(226.0, 224.0)
+    )
 
 
 def _points() -> np.ndarray:

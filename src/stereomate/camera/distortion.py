@@ -208,9 +208,65 @@ class FisheyeDistortion:
         _require_finite(self, self.coefficient_names)
 
 
+@dataclass(frozen=True)
+class EbnerDeformation:
+    """Ebner's twelve additional parameters: what film does to the picture behind the lens.
+
+    With (x, y) the photo coordinates divided by `spacing_mm`, ``X = x² - 2/3`` and ``Y = y² - 2/3``, the
+    measured point is the one on the undeformed film plus, in mm,
+
+    - ``dx = b1 x + b2 y - 2 b3 X + b4 x y + b5 Y + b7 x Y + b9 y X + b11 X Y``,
+    - ``dy = -b1 y + b2 x + b3 x y - 2 b4 Y + b6 X + b8 y X + b10 x Y + b12 X Y``.
+
+    At the nine points of a 3 x 3 grid of that spacing they are orthogonal to each other and to the six
+    elements of the exterior orientation of a vertical photograph of flat ground; the eighteen are all that
+    nine points can show (H. Ebner, *Self calibrating block adjustment*, Bildmessung und Luftbildwesen 44,
+    1976). Ebner's coefficients belong to unscaled coordinates: they are these over the spacing to the power
+    of the term.
+
+    Parameters
+    ----------
+    spacing_mm : float
+        Spacing of Ebner's grid, about the origin of the photo system: von Gruber's points.
+    b1, ..., b12 : float
+        Millimetres.
+
+    Raises
+    ------
+    InputError
+        Naming the field that breaks a rule.
+    """
+
+    spacing_mm: float
+    b1: float = 0.0
+    b2: float = 0.0
+    b3: float = 0.0
+    b4: float = 0.0
+    b5: float = 0.0
+    b6: float = 0.0
+    b7: float = 0.0
+    b8: float = 0.0
+    b9: float = 0.0
+    b10: float = 0.0
+    b11: float = 0.0
+    b12: float = 0.0
+
+    coefficient_names: ClassVar[tuple[str, ...]] = tuple(f"b{i}" for i in range(1, 13))
+
+    def __post_init__(self) -> None:
+        for name in ("spacing_mm", *self.coefficient_names):
+            value = getattr(self, name)
+            if not math.isfinite(value):
+                raise InputError("must be a finite number", field=f"deformation.{name}", value=value)
+        if not self.spacing_mm > 0.0:
+            raise InputError(
+                "must be positive millimetres", field="deformation.spacing_mm", value=self.spacing_mm
+            )
+
+
 Distortion = NoDistortion | BrownDistortion | OpenCVDistortion | FisheyeDistortion
 
 
-def coefficients(distortion: Distortion) -> tuple[float, ...]:
+def coefficients(distortion: Distortion | EbnerDeformation) -> tuple[float, ...]:
     """Values of the coefficients in the order of ``coefficient_names``."""
     return tuple(getattr(distortion, name) for name in distortion.coefficient_names)

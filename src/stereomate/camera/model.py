@@ -13,14 +13,24 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stereomate.camera import kernels
-from stereomate.camera.distortion import BrownDistortion, Distortion, NoDistortion, OpenCVDistortion
+from stereomate.camera.distortion import (
+    BrownDistortion,
+    Distortion,
+    EbnerDeformation,
+    FisheyeDistortion,
+    NoDistortion,
+    OpenCVDistortion,
+)
 from stereomate.camera.kernels.layout import R2_MAX
-from stereomate.camera.packing import Affine2, interior_vector, model_code, pack, pack_jacobian
+from stereomate.camera.packing import Affine2, FilmStage, interior_vector, model_code, pack, pack_jacobian
 from stereomate.errors import InputError
 
 Array = NDArray[np.float64]
 
-__all__ = ["Affine2", "Camera", "pixel_from_photo_of_array"]
+# Ebner's twelve among the interior parameters: Brown's affinity is called b1 and b2 too.
+EBNER_NAMES = tuple(f"ebner_{name}" for name in EbnerDeformation.coefficient_names)
+
+__all__ = ["EBNER_NAMES", "Affine2", "Camera", "pixel_from_photo_of_array"]
 
 
 @dataclass(frozen=True)
@@ -45,6 +55,10 @@ class Camera:
     format_mm : (float, float) or None
         Of film: width and height of the picture about the origin of the photo system. Beyond lie the frame
         and its marks: pixels of the array that show no ground.
+    projective_per_mm : (float, float)
+        Of a scan with a projective interior orientation: ``(column, row) = A (x, y, 1) / (1 + q1 x + q2 y)``.
+    deformation : EbnerDeformation or None
+        Of film: how the photo coordinates differ from those that the lens made.
 
     Raises
     ------
@@ -59,6 +73,8 @@ class Camera:
     pixel_from_photo: Affine2
     distortion: Distortion = field(default_factory=NoDistortion)
     format_mm: tuple[float, float] | None = None
+    projective_per_mm: tuple[float, float] = (0.0, 0.0)
+    deformation: EbnerDeformation | None = None
 
     def __post_init__(self) -> None:
         if not self.name:
@@ -85,6 +101,15 @@ class Camera:
         size = self.format_mm
         if size is not None and not (np.shape(size) == (2,) and np.isfinite(size).all() and min(size) > 0.0):
             raise InputError("must be positive width and height", field=where + "format_mm", value=size)
+        q = self.projective_per_mm
+        if np.shape(q) != (2,) or not np.isfinite(q).all():
+            raise InputError("must be two finite numbers", field=where + "projective_per_mm", value=q)
+        if self._film is not None and isinstance(self.distortion, OpenCVDistortion | FisheyeDistortion):
+            raise InputError(
+                "must be Brown's or none where film is deformed or its scan projective",
+                field=where + "distortion",
+                value=type(self.distortion).__name__,
+            )
 
     @classmethod
     def from_pixel_pitch(
@@ -161,7 +186,15 @@ class Camera:
 
     def kernel_parameters(self) -> tuple[int, Array]:
         """Model code and parameter array for the functions of `stereomate.camera.kernels`."""
-        return pack(self.size_px, self.parameters, self.pixel_from_photo, self.distortion)
+        return pack(self.size_px, self.parameters, self.pixel_from_photo, self.distortion, self._film)
+
+    @property
+    def _film(self) -> FilmStage | None:
+        """What film adds to the lens; None of an ordinary camera."""
+        if self.deformation is None and self.projective_per_mm == (0.0, 0.0):
+            return None
+        spacing = 1.0 if self.deformation is None else self.deformation.spacing_mm
+        return FilmStage(spacing, self.deformation is not None, self.projective_per_mm)
 
     def image_from_camera(self, points: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
         """Pixels of points in the camera frame.
@@ -200,16 +233,25 @@ class Camera:
         return rays.reshape(*pixels.shape[:-1], 3)
 
     def photo_from_image(self, pixels: ArrayLike) -> Array:
-        """Measured photo coordinates in mm of pixel positions (..., 2); distortion stays in them."""
+        """Measured photo coordinates in mm of pixel positions (..., 2): what lens and film did is in them."""
         matrix = np.array(self.pixel_from_photo)
+        pixels = np.asarray(pixels, dtype=np.float64)
+        if self.projective_per_mm != (0.0, 0.0):
+            whole = np.linalg.inv(np.vstack([matrix, [*self.projective_per_mm, 1.0]]))
+            top = pixels @ whole[:2, :2].T + whole[:2, 2]
+            projected: Array = top / (pixels @ whole[2, :2] + whole[2, 2])[..., None]
+            return projected
         inverse = np.linalg.inv(matrix[:, :2])
-        result: Array = (np.asarray(pixels, dtype=np.float64) - matrix[:, 2]) @ inverse.T
+        result: Array = (pixels - matrix[:, 2]) @ inverse.T
         return result
 
     def image_from_photo(self, photo_mm: ArrayLike) -> Array:
         """Pixel positions of measured photo coordinates in mm (..., 2)."""
         matrix = np.array(self.pixel_from_photo)
-        result: Array = np.asarray(photo_mm, dtype=np.float64) @ matrix[:, :2].T + matrix[:, 2]
+        photo_mm = np.asarray(photo_mm, dtype=np.float64)
+        result: Array = photo_mm @ matrix[:, :2].T + matrix[:, 2]
+        if self.projective_per_mm != (0.0, 0.0):
+            result = result / (1.0 + photo_mm @ np.array(self.projective_per_mm))[..., None]
         return result
 
     def in_picture(self, pixels: ArrayLike) -> NDArray[np.bool_]:
@@ -227,12 +269,15 @@ class Camera:
         if isinstance(self.distortion, BrownDistortion) and self.distortion.symmetry_mm is not None:
             symmetry = ("symmetry_x_mm", "symmetry_y_mm")
         first = ("principal_distance_mm", "principal_point_x_mm", "principal_point_y_mm")
-        return (*first, *symmetry, *self.distortion.coefficient_names)
+        twelve = () if self.deformation is None else EBNER_NAMES
+        return (*first, *symmetry, *self.distortion.coefficient_names, *twelve)
 
     @property
     def parameters(self) -> tuple[float, ...]:
         """Values of the interior parameters, in the order of `parameter_names`."""
-        return interior_vector(self.principal_distance_mm, self.principal_point_mm, self.distortion)
+        return interior_vector(
+            self.principal_distance_mm, self.principal_point_mm, self.distortion, self.deformation
+        )
 
     def with_parameters(self, values: ArrayLike) -> Camera:
         """The same camera with other interior parameters, in the order of `parameter_names`."""
@@ -242,6 +287,10 @@ class Camera:
             raise InputError(
                 f"must be {len(names)} interior parameters", field=f"camera {self.name!r}", value=len(numbers)
             )
+        deformation = self.deformation
+        if deformation is not None:
+            deformation = EbnerDeformation(deformation.spacing_mm, *numbers[-len(EBNER_NAMES) :])
+            names, numbers = names[: -len(EBNER_NAMES)], numbers[: -len(EBNER_NAMES)]
         changes: dict[str, object] = dict(zip(names[3:], numbers[3:], strict=True))
         if "symmetry_x_mm" in changes:
             changes["symmetry_mm"] = (changes.pop("symmetry_x_mm"), changes.pop("symmetry_y_mm"))
@@ -251,6 +300,7 @@ class Camera:
             principal_distance_mm=numbers[0],
             principal_point_mm=(numbers[1], numbers[2]),
             distortion=distortion,
+            deformation=deformation,
         )
 
     def image_jacobians(self, points: ArrayLike) -> tuple[Array, NDArray[np.bool_], Array, Array]:
@@ -283,7 +333,7 @@ class Camera:
 
     def parameter_jacobian(self) -> Array:
         """d (parameter array of the kernels) / d (`parameters`), shape (kernels.LENGTH, n)."""
-        return pack_jacobian(self.parameters, self.pixel_from_photo, self.distortion)
+        return pack_jacobian(self.parameters, self.pixel_from_photo, self.distortion, self._film)
 
     @property
     def monotonic_radius(self) -> float:
@@ -312,7 +362,7 @@ class Camera:
         """
         if isinstance(self.distortion, OpenCVDistortion):
             return kernels.OPENCV
-        return model_code(self.distortion)
+        return model_code(self.distortion, self._film)
 
 
 def _check_size(size_px: tuple[int, int], where: str) -> None:

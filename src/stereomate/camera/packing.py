@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from stereomate.camera.distortion import (
     BrownDistortion,
     Distortion,
+    EbnerDeformation,
     FisheyeDistortion,
     NoDistortion,
     OpenCVDistortion,
@@ -23,6 +24,7 @@ from stereomate.camera.distortion import (
 )
 from stereomate.camera.kernels import layout as k
 from stereomate.camera.kernels.distortion import radial_inverse
+from stereomate.camera.kernels.film import film_limit
 from stereomate.camera.kernels.jacobian import smallest_determinant
 from stereomate.errors import InputError
 
@@ -35,8 +37,26 @@ _SEARCH_MARGIN = 1.25
 _FAR = 1e4
 
 
-def model_code(distortion: Distortion) -> int:
+# Of film alone: how finely the polynomial is searched for a fold.
+_FILM_RADII, _FILM_DIRECTIONS = 32, 48
+
+
+class FilmStage(NamedTuple):
+    """What stands between the lens and the pixels of film: all that is not one of the parameters.
+
+    `spacing_mm` of Ebner's grid, whether his twelve are parameters, and the denominator of a projective scan.
+    """
+
+    spacing_mm: float
+    deformed: bool
+    projective: tuple[float, float]
+
+
+def model_code(distortion: Distortion, film: FilmStage | None = None) -> int:
     """Model code of the kernels; OpenCV models without rational, prism and tilt terms are Brown's."""
+    if film is not None:
+        inverse = isinstance(distortion, BrownDistortion) and distortion.direction == "measured_to_ideal"
+        return k.FILM_INVERSE if inverse else k.FILM
     if isinstance(distortion, NoDistortion):
         return k.PINHOLE
     if isinstance(distortion, BrownDistortion):
@@ -47,11 +67,15 @@ def model_code(distortion: Distortion) -> int:
 
 
 def interior_vector(
-    principal_distance_mm: float, principal_point_mm: tuple[float, float], distortion: Distortion
+    principal_distance_mm: float,
+    principal_point_mm: tuple[float, float],
+    distortion: Distortion,
+    deformation: EbnerDeformation | None = None,
 ) -> tuple[float, ...]:
     """Interior parameters in the order of ``Camera.parameter_names``."""
     symmetry = distortion.symmetry_mm if isinstance(distortion, BrownDistortion) else None
-    return (principal_distance_mm, *principal_point_mm, *(symmetry or ()), *coefficients(distortion))
+    twelve = () if deformation is None else coefficients(deformation)
+    return (principal_distance_mm, *principal_point_mm, *(symmetry or ()), *coefficients(distortion), *twelve)
 
 
 def _brown_into(packed: Any, c: Any, values: Any, model: BrownDistortion) -> Any:
@@ -91,7 +115,7 @@ def _opencv_into(packed: Any, values: Any) -> None:
     packed[k.T : k.T + 9] = _tilt(taux, tauy)
 
 
-def pack_parameters(vector: Any, affine: Any, distortion: Distortion) -> Any:
+def pack_parameters(vector: Any, affine: Any, distortion: Distortion, film: FilmStage | None = None) -> Any:
     """The parameter array without its inverses and limits; also for complex `vector` (derivatives).
 
     `vector` (n,) or (n, s): s sets of parameters give (LENGTH, s); `affine` 2x3, of numbers or of (s,).
@@ -103,6 +127,9 @@ def pack_parameters(vector: Any, affine: Any, distortion: Distortion) -> Any:
     xs, ys, values = xp, yp, vector[3:]
     if isinstance(distortion, BrownDistortion) and distortion.symmetry_mm is not None:
         xs, ys, values = vector[3], vector[4], vector[5:]
+    values, twelve = _split(values, distortion)
+    if film is not None:
+        affine = _film_into(packed, twelve, affine, film)
     packed[k.R0] = 1.0
     b1: Any = 0.0
     b2: Any = 0.0
@@ -121,7 +148,7 @@ def pack_parameters(vector: Any, affine: Any, distortion: Distortion) -> Any:
     packed[e], packed[e + 2] = 1.0, (xp - xs) / c
     packed[e + 4], packed[e + 5] = flip, flip * (yp - ys) / c
     # The output's affinity [[1 + b1, b2], [0, 1]] goes to the side of the measured point.
-    if model_code(distortion) == k.BROWN_INVERSE:
+    if model_code(distortion) == k.BROWN_INVERSE:  # of film too
         for i in range(3):
             packed[e + i] = (packed[e + i] - b2 * packed[e + 3 + i]) / (1.0 + b1)
         b1 = b2 = 0.0
@@ -130,6 +157,24 @@ def pack_parameters(vector: Any, affine: Any, distortion: Distortion) -> Any:
         packed[row + 1] = ax * (c * b2) + ay * (c * flip)
         packed[row + 2] = ax * xs + ay * ys + a0
     return packed
+
+
+def _split(values: Any, distortion: Distortion) -> tuple[Any, Any]:
+    """Coefficients of the distortion and Ebner's twelve, if there are any."""
+    n = len(distortion.coefficient_names)
+    return values[:n], values[n:]
+
+
+def _film_into(packed: Any, twelve: Any, affine: Any, film: FilmStage) -> Any:
+    """Write what comes behind the film coordinates; return the affine from the photo system to these."""
+    s = film.spacing_mm
+    if film.deformed:
+        packed[k.F : k.F + 12] = twelve / s
+    for row, (ax, ay, a0) in zip((k.A, k.A + 3), affine, strict=True):
+        packed[row], packed[row + 1], packed[row + 2] = ax * s, ay * s, a0
+    packed[k.Q], packed[k.Q + 1] = film.projective[0] * s, film.projective[1] * s
+    packed[k.F_R2_MAX] = math.inf
+    return ((1.0 / s, 0.0, 0.0), (0.0, 1.0 / s, 0.0))
 
 
 def _inverse2(m: Any) -> Any:
@@ -192,18 +237,42 @@ def _fold_limit(model: int, packed: Array, limit: float, reach: float) -> float:
 
 def _reach(packed: Array, size: tuple[int, int], model: int) -> float:
     """Radius of the argument of D that certainly covers the pixel array."""
-    columns, rows = size
     inverse = packed[k.P_INV : k.P_INV + 6].reshape(2, 3)
-    corners = np.array([[0, 0, 1], [columns, 0, 1], [0, rows, 1], [columns, rows, 1]], dtype=np.float64)
+    corners = _corners(size)
+    if model >= k.FILM:
+        corners[:, :2] = _film_corners(packed, size)
     furthest = float(np.linalg.norm(corners @ inverse.T, axis=1).max())
-    if model == k.BROWN_INVERSE:
+    if model in (k.BROWN_INVERSE, k.FILM_INVERSE):
         return furthest * _SEARCH_MARGIN
     return float(radial_inverse(model, packed, furthest)) * _SEARCH_MARGIN
 
 
+def _corners(size: tuple[int, int]) -> Array:
+    columns, rows = size
+    return np.array([[0, 0, 1], [columns, 0, 1], [0, rows, 1], [columns, rows, 1]], dtype=np.float64)
+
+
+def _film_corners(packed: Array, size: tuple[int, int]) -> Array:
+    """Film coordinates of the corners of the pixel array, as if the film were not deformed: (4, 2)."""
+    forward = np.vstack([packed[k.A : k.A + 6].reshape(2, 3), [packed[k.Q], packed[k.Q + 1], 1.0]])
+    found = _corners(size) @ np.linalg.inv(forward).T
+    result: Array = found[:, :2] / found[:, 2:]
+    return result
+
+
+def _film_limit(packed: Array, size: tuple[int, int]) -> float:
+    """Radius in film coordinates up to which the deformation is monotonic, no further than the array goes."""
+    reach = float(np.linalg.norm(_film_corners(packed, size), axis=1).max()) * _SEARCH_MARGIN
+    return float(film_limit(packed, reach, _FILM_RADII, _FILM_DIRECTIONS))
+
+
 @lru_cache(maxsize=1024)
 def pack(
-    size_px: tuple[int, int], vector: tuple[float, ...], affine: Affine2, distortion: Distortion
+    size_px: tuple[int, int],
+    vector: tuple[float, ...],
+    affine: Affine2,
+    distortion: Distortion,
+    film: FilmStage | None = None,
 ) -> tuple[int, Array]:
     """Model code and read-only parameter array.
 
@@ -212,8 +281,8 @@ def pack(
     InputError
         If the distortion has no monotonic range at all (it folds at its centre).
     """
-    model = model_code(distortion)
-    packed = pack_parameters(vector, affine, distortion)
+    model = model_code(distortion, film)
+    packed = pack_parameters(vector, affine, distortion, film)
     packed[k.COLUMNS], packed[k.ROWS] = size_px
     packed[k.P_INV : k.P_INV + 6] = _inverse_affine(packed[k.P : k.P + 6])
     packed[k.E_INV : k.E_INV + 6] = _inverse_affine(packed[k.E : k.E + 6])
@@ -230,15 +299,21 @@ def pack(
             raise InputError("must not fold the image at its centre", field="distortion")
         packed[k.R_START] = min(limit, _FAR)
     packed[k.R2_MAX] = limit * limit
+    if film is not None and film.deformed:
+        packed[k.F_R2_MAX] = _film_limit(packed, size_px) ** 2
+        if packed[k.F_R2_MAX] == 0.0:
+            raise InputError("must not fold the picture at its centre", field="deformation")
     packed.flags.writeable = False
     return model, packed
 
 
-def pack_jacobian(vector: tuple[float, ...], affine: Affine2, distortion: Distortion) -> Array:
+def pack_jacobian(
+    vector: tuple[float, ...], affine: Affine2, distortion: Distortion, film: FilmStage | None = None
+) -> Array:
     """d (parameter array) / d (interior parameters), shape (LENGTH, n).
 
     By complex steps through the same folding: exact to rounding, no difference is taken.
     """
     stepped = np.array(vector, dtype=np.complex128)[:, None] + 1e-30j * np.eye(len(vector))
-    result: Array = np.imag(pack_parameters(stepped, affine, distortion)) / 1e-30
+    result: Array = np.imag(pack_parameters(stepped, affine, distortion, film)) / 1e-30
     return result

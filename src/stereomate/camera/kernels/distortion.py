@@ -49,20 +49,25 @@ def brown(p: Array, x: float, y: float) -> tuple[float, float]:
 
 
 @inline_kernel
-def brown_derivatives(p: Array, x: float, y: float) -> Six:
-    """D of Brown's model and its derivative: (x', y', dx'/dx, dx'/dy, dy'/dx, dy'/dy)."""
+def brown_derivatives(p: Array, x: float, y: float, at: int = 0) -> Six:
+    """D of Brown's model and its derivative: (x', y', dx'/dx, dx'/dy, dy'/dx, dy'/dy).
+
+    `at`: where in `p` the parameter array begins; a view of it would count references.
+    """
+    k1, k2, k3, k4 = p[at + K1], p[at + K2], p[at + K3], p[at + K4]
+    p1, p2, b1, b2 = p[at + P1], p[at + P2], p[at + B1], p[at + B2]
     s = x * x + y * y
-    radial = p[R0] + s * (p[K1] + s * (p[K2] + s * (p[K3] + s * p[K4])))
-    slope = 2.0 * (p[K1] + s * (2.0 * p[K2] + s * (3.0 * p[K3] + s * 4.0 * p[K4])))
+    radial = p[at + R0] + s * (k1 + s * (k2 + s * (k3 + s * k4)))
+    slope = 2.0 * (k1 + s * (2.0 * k2 + s * (3.0 * k3 + s * 4.0 * k4)))
     xy = 2.0 * x * y
-    cross = x * y * slope + 2.0 * (p[P1] * y + p[P2] * x)
+    cross = x * y * slope + 2.0 * (p1 * y + p2 * x)
     return (
-        x * radial + p[P1] * (s + 2.0 * x * x) + p[P2] * xy + p[B1] * x + p[B2] * y,
-        y * radial + p[P2] * (s + 2.0 * y * y) + p[P1] * xy,
-        radial + x * x * slope + 6.0 * p[P1] * x + 2.0 * p[P2] * y + p[B1],
-        cross + p[B2],
+        x * radial + p1 * (s + 2.0 * x * x) + p2 * xy + b1 * x + b2 * y,
+        y * radial + p2 * (s + 2.0 * y * y) + p1 * xy,
+        radial + x * x * slope + 6.0 * p1 * x + 2.0 * p2 * y + b1,
+        cross + b2,
         cross,
-        radial + y * y * slope + 6.0 * p[P2] * y + 2.0 * p[P1] * x,
+        radial + y * y * slope + 6.0 * p2 * y + 2.0 * p1 * x,
     )
 
 

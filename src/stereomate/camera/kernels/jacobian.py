@@ -12,12 +12,14 @@ from stereomate.camera.kernels.distortion import (
     opencv_core,
     undistort,
 )
+from stereomate.camera.kernels.film import film_jacobian, lens_model
 from stereomate.camera.kernels.layout import (
     B1,
     B2,
     BROWN_INVERSE,
     COLUMNS,
     D1,
+    FILM,
     FISHEYE,
     K1,
     K4,
@@ -103,14 +105,10 @@ def coefficients(model: int, p: Array, x: float, y: float, out: Array) -> None:
 
 
 @kernel
-def image_jacobian_point(
+def lens_jacobian_point(
     model: int, parameters: Array, x: float, y: float, z: float, d_point: Array, d_parameters: Array
 ) -> tuple[float, float, bool]:
-    """Pixel of a camera-frame point and its derivatives: (column, row, inside).
-
-    Writes `d_point` (2, 3) by the point and `d_parameters` (2, LENGTH) by the parameter array. Off the pixel
-    array the derivatives are still right; where column is NaN they are NaN.
-    """
+    """`image_jacobian_point` of every model but film."""
     p = parameters
     d_point[:] = np.nan
     d_parameters[:] = 0.0
@@ -154,6 +152,23 @@ def image_jacobian_point(
     column, row = affine(p, P, mx, my)
     inside = (column >= 0.0) & (column < p[COLUMNS]) & (row >= 0.0) & (row < p[ROWS])
     return column, row, inside
+
+
+@kernel
+def image_jacobian_point(
+    model: int, parameters: Array, x: float, y: float, z: float, d_point: Array, d_parameters: Array
+) -> tuple[float, float, bool]:
+    """Pixel of a camera-frame point and its derivatives: (column, row, inside).
+
+    Writes `d_point` (2, 3) by the point and `d_parameters` (2, LENGTH) by the parameter array. Off the pixel
+    array the derivatives are still right; where column is NaN they are NaN.
+    """
+    if model < FILM:
+        return lens_jacobian_point(model, parameters, x, y, z, d_point, d_parameters)
+    u, v, _ = lens_jacobian_point(lens_model(model), parameters, x, y, z, d_point, d_parameters)
+    if np.isnan(u):
+        return np.nan, np.nan, False
+    return film_jacobian(parameters, u, v, d_point, d_parameters)
 
 
 @kernel

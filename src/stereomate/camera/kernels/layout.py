@@ -11,9 +11,11 @@ Indices = NDArray[np.int64]
 Six = tuple[float, float, float, float, float, float]
 
 PINHOLE, BROWN, BROWN_INVERSE, OPENCV, FISHEYE = 0, 1, 2, 3, 4
+# Brown's models followed by what film does: deformation and a projective scan.
+FILM, FILM_INVERSE = 5, 6
 
 COLUMNS, ROWS = 0, 1
-P = 2  # 2..7 pixel from measured, row by row
+P = 2  # 2..7 pixel (of film: film coordinates) from measured, row by row
 P_INV = 8
 E = 14
 E_INV = 20
@@ -25,4 +27,8 @@ D1, D2, D3 = 37, 38, 39  # denominator 1 + D1 r² + ...
 S1, S2, S3, S4 = 40, 41, 42, 43
 T = 44  # 3x3 homography of the tilted sensor
 T_INV = 53
-LENGTH = 62
+F = 62  # 62..73 Ebner's twelve, in units of the spacing of his grid
+A = 74  # 74..79 numerators of the pixel from the deformed film coordinates
+Q = 80  # 80..81 denominator 1 + Q0 x + Q1 y
+F_R2_MAX = 82  # squared radius of the film coordinates up to which the deformation is monotonic
+LENGTH = 83

@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from stereomate.camera.kernels.distortion import brown, fisheye, opencv, undistort
+from stereomate.camera.kernels.film import film_of_pixel, lens_model, pixel_of_film
 from stereomate.camera.kernels.layout import (
     BROWN,
     BROWN_INVERSE,
     COLUMNS,
     E_INV,
+    FILM,
     FISHEYE,
     OPENCV,
     P_INV,
@@ -59,8 +61,8 @@ def brown_point(parameters: Array, x: float, y: float, z: float) -> tuple[float,
 
 
 @kernel
-def general_point(model: int, parameters: Array, x: float, y: float, z: float) -> tuple[float, float, bool]:
-    """`image_from_camera_point` of every model."""
+def lens_point(model: int, parameters: Array, x: float, y: float, z: float) -> tuple[float, float, bool]:
+    """`image_from_camera_point` of every model but film."""
     p = parameters
     if not z < 0.0:
         return np.nan, np.nan, False
@@ -82,6 +84,15 @@ def general_point(model: int, parameters: Array, x: float, y: float, z: float) -
                 u, v = brown(p, u, v)
     column, row = affine(p, P, u, v)
     return column, row, on_array(p, column, row)
+
+
+@kernel
+def general_point(model: int, parameters: Array, x: float, y: float, z: float) -> tuple[float, float, bool]:
+    """`image_from_camera_point` of every model."""
+    if model >= FILM:
+        u, v, _ = lens_point(lens_model(model), parameters, x, y, z)
+        return pixel_of_film(parameters, u, v)
+    return lens_point(model, parameters, x, y, z)
 
 
 @kernel
@@ -108,6 +119,11 @@ def ray_from_pixel(model: int, parameters: Array, column: float, row: float) -> 
     `ok` is False (and x, y NaN) where the position is beyond the monotonic range of the distortion.
     """
     p = parameters
+    if model >= FILM:
+        column, row = film_of_pixel(p, column, row)
+        if np.isnan(column):
+            return np.nan, np.nan, False
+        model = lens_model(model)
     x, y = affine(p, P_INV, column, row)
     if model == PINHOLE:
         return x, y, True

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from stereomate.camera.kernels.film import film_row
 from stereomate.camera.kernels.layout import (
     B1,
     B2,
     BROWN,
     BROWN_INVERSE,
     COLUMNS,
+    FILM,
+    FILM_INVERSE,
     K1,
     K2,
     K3,
@@ -25,7 +28,7 @@ from stereomate.camera.kernels.layout import (
     Flags,
     P,
 )
-from stereomate.camera.kernels.projection import general_point
+from stereomate.camera.kernels.projection import general_point, lens_point
 from stereomate.jit import kernel
 
 
@@ -78,7 +81,7 @@ def brown_row(
 def brown_inverse_row(
     parameters: Array, x: Array, y: Array, z: Array, column: Array, row: Array, inside: Flags
 ) -> None:
-    """`general_point` of ``BROWN_INVERSE`` over 1-D arrays.
+    """`lens_point` of ``BROWN_INVERSE`` over 1-D arrays.
 
     Three Newton steps without branches, which is one more than film distortion needs; the points that ask for
     more are done again one by one.
@@ -122,7 +125,7 @@ def brown_inverse_row(
         inside[i] = done & (c >= 0.0) & (c < columns) & (r >= 0.0) & (r < rows)
     for i in range(x.shape[0]):
         if column[i] == np.inf:
-            column[i], row[i], inside[i] = general_point(BROWN_INVERSE, parameters, x[i], y[i], z[i])
+            column[i], row[i], inside[i] = lens_point(BROWN_INVERSE, parameters, x[i], y[i], z[i])
 
 
 @kernel
@@ -136,6 +139,12 @@ def image_from_camera_row(
         brown_row(parameters, x, y, z, column, row, inside)
     elif model == BROWN_INVERSE:
         brown_inverse_row(parameters, x, y, z, column, row, inside)
+    elif model == FILM:
+        brown_row(parameters, x, y, z, column, row, inside)
+        film_row(parameters, column, row, inside)
+    elif model == FILM_INVERSE:
+        brown_inverse_row(parameters, x, y, z, column, row, inside)
+        film_row(parameters, column, row, inside)
     else:
         for i in range(x.shape[0]):
             column[i], row[i], inside[i] = general_point(model, parameters, x[i], y[i], z[i])
