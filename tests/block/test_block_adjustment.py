@@ -201,7 +201,7 @@ def test_lever_arm_shift_drift_and_boresight_are_found():
     values = dict(zip(result.shared_names, result.shared, strict=True))
     assert values["strip 3: shift y"] == pytest.approx(-2.0, abs=1e-6)
     assert values["strip 7: drift z"] == pytest.approx(0.02, abs=1e-6)
-    found = vector_from_rotation(result.solution.state.boresight)
+    found = vector_from_rotation(result.solution.state.boresight[0])
     np.testing.assert_allclose(found, beta, atol=1e-8)
     s = result.statistics
     total = np.nansum(s.image.redundancy) + np.nansum(s.control.redundancy)
@@ -324,7 +324,84 @@ def test_single_strip_with_positions_only_keeps_what_is_open():
         block.network, positions=replace(block.network.positions, xyz=line), photographs=photographs
     )
     result = adjust_block(network)
-    assert any("turn y" in note for note in result.notes)
+    assert result.notes == ("datum by inner constraints: open were turn about the line through p0 and p5",)
+
+
+def test_what_is_open_of_a_datum_is_named_exactly():
+    """Two control points leave one turn about their line; one point three turns about it, and the scale."""
+    block = make_block(columns=3, rows=2, control=2)
+    known = [block.network.points.names[k] for k in block.network.control.point]
+    (note,) = adjust_block(block.network).notes
+    assert note.startswith("datum by inner constraints: open were turn about the line through ")
+    assert all(name in note for name in known)
+    control = block.network.control
+    one = Control(control.point[:1], control.xyz[:1], control.sigma[:1])
+    (note,) = adjust_block(replace(block.network, control=one)).notes
+    turns = ", ".join(f"turn {axis} about {known[0]}" for axis in "xyz")
+    assert note == f"datum by inner constraints: open were {turns}, scale"
+
+
+def test_shifts_of_all_strips_without_control_leave_the_place_open_and_move_with_the_block():
+    """What does not hang on the datum of them has the covariance of the whole inverse."""
+    block = make_block(columns=5, rows=2, gnss=0.05, seed=6)
+    strips = np.repeat([0, 1], 5)
+    positions = replace(
+        block.network.positions, strip=strips, shift=True, strip_names=("north", "south"),
+        xyz=block.network.positions.xyz + np.where(strips, 0.7, 0.0)[:, None],
+    )  # fmt: skip
+    network = replace(block.network, positions=positions)
+    result = adjust_block(network, PRIOR)
+    (note,) = result.notes
+    assert note == "datum by inner constraints: open were shift x, shift y, shift z"
+    assert result.shared_names[3] == "strip south: shift x"
+    # Put onto its start, the residuals of positions are those of the adjustment, which sum up to none.
+    residuals = result.statistics.positions.residuals
+    assert np.abs(residuals.reshape(2, 5, 3).sum(axis=1)).max() < 1e-6
+    s = result.statistics
+    assert np.nansum(s.image.redundancy) + np.nansum(s.positions.redundancy) == pytest.approx(
+        result.redundancy, abs=1e-5
+    )
+    # What does not hang on the datum: the difference of both shifts, with its standard deviation.
+    pick = np.zeros((3, 6))
+    pick[:, :3], pick[:, 3:] = -np.eye(3), np.eye(3)
+    difference = pick @ result.shared
+    variance = np.diag(pick @ s.cofactors.shared @ pick.T)
+    assert (np.abs(difference - 0.7) < 4.0 * np.sqrt(variance)).all()
+    # The same with the whole inverse, of minimal constraints.
+    whole = full_covariance(result.solution)[-6:, -6:]
+    np.testing.assert_allclose(np.diag(pick @ whole @ pick.T), variance, rtol=1e-6)
+    # A shift and the centre of a photograph of its strip move together: their difference is determined.
+    k = 7
+    apart = (
+        s.cofactors.photos[k, :3, :3]
+        + s.cofactors.shared[3:6, 3:6]
+        + 2 * s.cofactors.photo_shared[k, :3, 3:6]
+    )
+    held = full_covariance(result.solution)
+    rows = np.r_[6 * k : 6 * k + 3, len(held) - 3 : len(held)]
+    sum_of = np.concatenate([np.eye(3), np.eye(3)], axis=1)
+    expected = np.diag(sum_of @ held[np.ix_(rows, rows)] @ sum_of.T)
+    np.testing.assert_allclose(np.diag(apart), expected, rtol=1e-5)
+
+
+def test_cameras_may_have_lever_arms_and_misalignments_of_their_own():
+    block = make_block(columns=5, rows=2, noise=0.0, control=6)
+    n, mount = len(block.centres), np.repeat([0, 1], 5)
+    arms = np.array([[0.3, -0.2, 0.5], [0.1, 0.4, 0.2]])
+    beta = np.array([[0.01, -0.02, 0.005], [-0.003, 0.001, 0.02]])
+    antenna = block.centres + np.einsum("nij,nj->ni", block.rotations, arms[mount])
+    positions = Positions(
+        np.arange(n), antenna, 0.02, lever_arm_sigma=math.inf, mount=mount, mount_names=("nadir", "oblique")
+    )
+    turned = block.rotations @ rotation_from_vector(beta[mount])
+    attitudes = Attitudes(np.arange(n), turned, 1e-4, True, mount=mount, mount_names=("nadir", "oblique"))
+    result = adjust_block(replace(block.network, positions=positions, attitudes=attitudes))
+    values = dict(zip(result.shared_names, result.shared, strict=True))
+    for m, name in enumerate(("nadir", "oblique")):
+        found = [values[f"lever arm of {name} {axis}"] for axis in "xyz"]
+        np.testing.assert_allclose(found, arms[m], atol=1e-6)
+    found = vector_from_rotation(result.solution.state.boresight)
+    np.testing.assert_allclose(found, beta, atol=1e-8)
 
 
 def test_control_by_axis_fixed_and_check_points():

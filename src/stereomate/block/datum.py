@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr
 
+from stereomate.block.absorbed import absorbed
+from stereomate.block.navigation import groups_of
 from stereomate.block.network import Network
-from stereomate.block.unknowns import State
+from stereomate.block.unknowns import State, layout_of, start_of
 from stereomate.geometry.rotations import rotation_from_vector, skew
 from stereomate.geometry.similarity import closed_form
 
@@ -19,7 +21,6 @@ Array = NDArray[np.float64]
 # A direction of the similarity that moves no datum observation, but for this part of what others do, is open.
 _OPEN: Final = 1e-9
 _ALL: Final = 7
-_NAMES: Final = ("shift x", "shift y", "shift z", "turn x", "turn y", "turn z", "scale")
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,11 +43,6 @@ class Defect:
     def size(self) -> int:
         """Number of open directions, 0 to 7."""
         return int(self.directions.shape[1])
-
-    def names(self) -> tuple[str, ...]:
-        """The parameters that take part in what is open."""
-        part = np.abs(self.directions).max(axis=1, initial=0.0)
-        return tuple(name for name, value in zip(_NAMES, part, strict=True) if value > 0.05)
 
     def moves(self, xyz: Array) -> Array:
         """Motion of places by the open directions, shape (n, 3, d)."""
@@ -76,27 +72,22 @@ def find_defect(network: Network, used: NDArray[np.bool_] | None = None) -> Defe
         )
     )
     rows = [np.zeros((0, 7))]
-    control, positions, attitudes = network.control, network.positions, network.attitudes
+    control = network.control
     if control is not None:
         assert control.check is not None
         points = network.image.point if used is None else network.image.point[used]
         known = np.isfinite(control.sigma) & (np.isin(control.point, points) & ~control.check)[:, None]
         rows.append(_place_moves(network.points.xyz[control.point] - origin, extent)[known])
-    if positions is not None:
-        moves = _place_moves(centres[positions.photo] - origin, extent)
-        moves -= _absorbed(network, moves)
-        if not np.isfinite(positions.lever_arm_sigma):
-            arm = network.photographs.rotations[positions.photo]
-            arm = (arm - _absorbed(network, arm)).reshape(-1, 3)
-            flat = moves.reshape(-1, _ALL)
-            moves = (flat - arm @ np.linalg.lstsq(arm, flat, rcond=None)[0]).reshape(moves.shape)
-        rows.append(moves[np.isfinite(positions.sigma)])
     turn = np.concatenate([np.zeros((3, 3)), extent * np.eye(3), np.zeros((3, 1))], axis=1)
-    if attitudes is not None:
-        rotations = np.swapaxes(network.photographs.rotations[attitudes.photo], 1, 2) @ turn
-        if attitudes.boresight and not np.isfinite(attitudes.boresight_sigma):
-            rotations = rotations - rotations.mean(axis=0)
-        rows.append(rotations.reshape(-1, 7))
+    if network.positions is not None or network.attitudes is not None:
+        layout = layout_of(network)
+        turns = np.broadcast_to(turn / extent, (len(centres), 3, _ALL))
+        motion = np.concatenate([_place_moves(centres - origin, extent), turns], axis=1)
+        for name, group in groups_of(network, layout, start_of(network, layout)).items():
+            moves = np.einsum("gia,gad->gid", group.by_photo, motion[group.photo])
+            left, _ = absorbed(network, layout, group, name, moves)
+            unit = extent if name == "attitudes" else 1.0
+            rows.append(unit * left[group.weight > 0.0])
     if network.photographs.fixed is not None:
         fixed = network.photographs.fixed
         rows.append(_place_moves(centres - origin, extent)[fixed[:, :3]])
@@ -118,27 +109,6 @@ def _place_moves(offset: Array, extent: float) -> Array:
     result[:, :, 3:6] = -skew(offset)
     result[:, :, 6] = offset
     return result
-
-
-def _absorbed(network: Network, moves: Array) -> Array:
-    """Part of the positions' motion that unknown shifts and drifts of strips take away."""
-    positions = network.positions
-    assert positions is not None
-    assert positions.strip is not None
-    taken = np.zeros_like(moves)
-    for strip in np.unique(positions.strip[positions.strip >= 0]):
-        rows = np.flatnonzero(positions.strip == strip)
-        columns = []
-        if positions.shift and not np.isfinite(positions.shift_sigma):
-            columns.append(np.ones(len(rows)))
-        if positions.drift:
-            time = np.arange(len(rows), dtype=np.float64) if positions.time is None else positions.time[rows]
-            columns.append(time - time.mean())
-        if columns:
-            basis = np.stack(columns, axis=1)
-            flat = moves[rows].reshape(len(rows), -1)
-            taken[rows] = (basis @ np.linalg.lstsq(basis, flat, rcond=None)[0]).reshape(moves[rows].shape)
-    return taken
 
 
 def held(network: Network, defect: Defect) -> Network:

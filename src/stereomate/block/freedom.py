@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrs
 
+from stereomate.block.absorbed import absorbed
 from stereomate.block.equations import Equations, Factored
 from stereomate.block.kernels import points as kernel_points
 from stereomate.block.loop import Solution
+from stereomate.block.navigation import groups_of
 from stereomate.block.triangular import backward, forward
 
 Array = NDArray[np.float64]
@@ -29,7 +31,8 @@ class InnerConstraints:
     ----------
     photo_g, photo_m : ndarray, shape (n, 6, d)
     point_g, point_m : ndarray, shape (p, 3, d)
-    shared_m : ndarray, shape (q, d)
+    shared_g, shared_m : ndarray, shape (q, d)
+        Shifts and other unknowns of navigation without a prior move along.
     middle : ndarray, shape (d, d)
     """
 
@@ -37,15 +40,20 @@ class InnerConstraints:
     photo_m: Array
     point_g: Array
     point_m: Array
+    shared_g: Array
     shared_m: Array
     middle: Array
 
-    def applied(self, photos: Array, points: Array, photo_shared: Array) -> tuple[Array, Array, Array]:
-        """Blocks of photographs (n, 6, 6), points (p, 3, 3), photographs with shared unknowns (n, 6, q)."""
+    def applied(
+        self, photos: Array, points: Array, photo_shared: Array, shared: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Blocks of photographs, points (p, 3, 3), photographs with shared unknowns (n, 6, q), these."""
+        across = self.photo_g @ self.middle @ self.shared_g.T
         return (
             _changed(photos, self.photo_g, self.photo_m, self.middle),
             _changed(points, self.point_g, self.point_m, self.middle),
-            photo_shared - np.einsum("nad,qd->naq", self.photo_g, self.shared_m),
+            photo_shared - self.photo_g @ self.shared_m.T - self.photo_m @ self.shared_g.T + across,
+            _changed(shared[None], self.shared_g[None], self.shared_m[None], self.middle)[0],
         )
 
 
@@ -74,7 +82,20 @@ def inner_constraints(solution: Solution, equations: Equations, factored: Factor
         )
     middle = np.einsum("nid,nie->de", centre_g, photo_m[:, :3]) + np.einsum("pid,pie->de", point_g, point_m)
     middle = root @ (0.5 * (middle + middle.T)) @ root
-    return InnerConstraints(photo_g, photo_m @ root, point_g, point_m @ root, shared_m @ root, middle)
+    shared_g = _shared_motion(solution, photo_g)
+    return InnerConstraints(
+        photo_g, photo_m @ root, point_g, point_m @ root, shared_g, shared_m @ root, middle
+    )
+
+
+def _shared_motion(solution: Solution, photo_g: Array) -> Array:
+    """Open directions of the shared unknowns (q, d): those of navigation that follow the block."""
+    network, layout = solution.prepared.network, solution.prepared.layout
+    shared = np.zeros((len(layout.names), photo_g.shape[2]))
+    for name, group in groups_of(network, layout, solution.state).items():
+        motion = np.einsum("gia,gad->gid", group.by_photo, photo_g[group.photo])
+        shared += absorbed(network, layout, group, name, motion)[1]
+    return shared
 
 
 def _solved(

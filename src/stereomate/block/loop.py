@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from stereomate.block.absorbed import followed
 from stereomate.block.datum import Defect, find_defect, held, onto_start
 from stereomate.block.equations import (
     Equations,
@@ -23,6 +24,7 @@ from stereomate.block.equations import (
 )
 from stereomate.block.kernels.projection import residuals as kernel_residuals
 from stereomate.block.network import Network
+from stereomate.block.open_datum import open_datum
 from stereomate.block.options import BlockOptions
 from stereomate.block.prepared import Prepared, fixed_axes_applied, prepare
 from stereomate.block.unknowns import State, moved, start_of
@@ -155,11 +157,11 @@ def run_loop(
     if defect.size:
         if options.free_network == "none":
             raise InputError(
-                f"must determine the datum; open: {', '.join(defect.names())}",
+                f"must determine the datum; open: {', '.join(open_datum(network, defect))}",
                 field="network",
                 hint="control points or positions are missing; free_network allows inner constraints",
             )
-        notes.append(f"datum by inner constraints: open were {', '.join(defect.names())}")
+        notes.append(f"datum by inner constraints: open were {', '.join(open_datum(network, defect))}")
         network = held(network, defect)
     outside = outside_photographs(network)
     if outside.any():
@@ -181,6 +183,7 @@ def run_loop(
     if defect.size:
         linearised = None
         final = onto_start(final, start, defect, np.bincount(prepared.point, minlength=len(final.points)) > 0)
+        final = followed(loop.prepared.network, loop.prepared.layout, loop.state, final)
     return Solution(
         loop.prepared, start, final, loop.cost, loop.iterations, loop.damped, loop.converged, defect, lonely,
         (*notes, *loop.notes), linearised,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.block.network import Attitudes, Network, Positions
-from stereomate.block.unknowns import Layout, State, vector_from_rotation
+from stereomate.block.unknowns import Layout, State, of_mounts, vector_from_rotation
 from stereomate.geometry.rotations import skew
 
 Array = NDArray[np.float64]
@@ -52,18 +52,21 @@ def groups_of(network: Network, layout: Layout, state: State) -> dict[str, Group
 def _positions(positions: Positions, layout: Layout, state: State) -> Group:
     photo = positions.photo
     g = len(photo)
-    at = layout.lever_arm
-    known = positions.lever_arm if at < 0 else positions.lever_arm + state.shared[at : at + 3]
+    assert positions.mount is not None  # filled in by the network
+    unknown_arm = bool((layout.lever_arm >= 0).any())
+    known = positions.lever_arm
+    if unknown_arm:
+        known = known + of_mounts(layout.lever_arm, state.shared)[positions.mount]
     arm = np.einsum("gij,gj->gi", state.rotations[photo], known)
     computed = state.centres[photo] + arm
     by_photo = np.zeros((g, 3, 6))
     by_photo[:, [0, 1, 2], [0, 1, 2]] = 1.0
     by_photo[:, :, 3:] = -skew(arm)
-    wide = 6 if at < 0 else 9
+    wide = 9 if unknown_arm else 6
     columns = np.full((g, wide), -1)
     by_shared = np.zeros((g, 3, wide))
-    if at >= 0:
-        columns[:, 6:] = at + np.arange(3)
+    if unknown_arm:
+        columns[:, 6:] = layout.lever_arm[positions.mount][:, None] + np.arange(3)
         by_shared[:, :, 6:] = state.rotations[photo]
     if len(layout.strips):
         assert positions.strip is not None
@@ -90,7 +93,10 @@ def time_in_strip(positions: Positions, rows: Integers) -> Array:
 def _attitudes(attitudes: Attitudes, layout: Layout, state: State) -> Group:
     photo = attitudes.photo
     g = len(photo)
-    computed = state.rotations[photo] @ state.boresight
+    assert attitudes.mount is not None  # filled in by the network
+    unknown = bool((layout.boresight >= 0).any())
+    turn = state.boresight[attitudes.mount] if unknown else state.boresight[np.zeros(g, np.int64)]
+    computed = state.rotations[photo] @ turn
     residual = vector_from_rotation(attitudes.rotations @ np.swapaxes(computed, 1, 2))
     # log(exp(e) exp(-θ)) = e - Jr⁻¹(e) θ, Jr⁻¹ = 1 + [e]x / 2 + [e]x² / 12 to third order.
     turned = skew(residual)
@@ -99,8 +105,8 @@ def _attitudes(attitudes: Attitudes, layout: Layout, state: State) -> Group:
     by_photo[:, :, 3:] = inverse
     columns = np.full((g, 3), -1)
     by_shared = np.zeros((g, 3, 3))
-    if layout.boresight >= 0:
-        columns[:] = layout.boresight + np.arange(3)
+    if unknown:
+        columns[:] = layout.boresight[attitudes.mount][:, None] + np.arange(3)
         # R B exp(δ) = exp(R B δ) R B.
         by_shared = inverse @ computed
     return Group(photo, residual, 1.0 / attitudes.sigma**2, by_photo, columns.astype(np.int64), by_shared)

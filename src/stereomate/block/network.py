@@ -180,7 +180,7 @@ class Control:
 class Positions:
     """Observed positions of the antenna: ``X = X0 + R lever_arm + shift[strip] + drift[strip] (t - mean t)``.
 
-    A lever arm that nobody measured well is unknown too: one correction for the whole block, camera axes.
+    A lever arm that nobody measured well is unknown too: one correction for each mount, camera axes.
 
     Parameters
     ----------
@@ -196,10 +196,17 @@ class Positions:
         Seconds, for the drift; the order in the strip if None.
     shift, drift : bool
         Whether each strip has an unknown shift, an unknown drift.
-    shift_sigma : float
+    shift_sigma : ndarray, shape (3,) or float
         Standard deviation of the prior (shift is 0), metres; infinite for none.
     lever_arm_sigma : float
         Standard deviation of the lever arm, metres: 0 holds it, infinite says that nothing is known of it.
+    drift_sigma : ndarray, shape (3,) or float
+        Standard deviation of the prior (drift is 0), metres in a unit of `time`; infinite for none.
+    strip_names : tuple of str
+        Names of the strips, by their numbers; those without are called by them.
+    mount : ndarray of int, shape (g,), optional
+        Group that shares the correction of a lever arm.
+    mount_names : tuple of str
     """
 
     photo: Integers
@@ -210,8 +217,12 @@ class Positions:
     time: Array | None = None
     shift: bool = False
     drift: bool = False
-    shift_sigma: float = math.inf
+    shift_sigma: Array = field(default_factory=lambda: np.full(3, math.inf))
     lever_arm_sigma: float = 0.0
+    drift_sigma: Array = field(default_factory=lambda: np.full(3, math.inf))
+    strip_names: tuple[str, ...] = ()
+    mount: Integers | None = None
+    mount_names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         g = len(self.photo)
@@ -225,10 +236,18 @@ class Positions:
         _own(self, "lever_arm", np.float64, (g, 3))
         object.__setattr__(self, "strip", np.zeros(g, np.int64) if self.strip is None else self.strip)
         _own(self, "strip", np.int64, (g,))
+        _own_mount(self, g)
+        for name in ("shift_sigma", "drift_sigma"):
+            _own(self, name, np.float64, (3,))
+            _positive(f"positions.{name}", getattr(self, name))
         if self.time is not None:
             _own(self, "time", np.float64, (g,))
         _positive("positions.sigma", self.sigma)
         _finite("positions.xyz", self.xyz[np.isfinite(self.sigma)])
+
+    def strip_name(self, strip: int) -> str:
+        """What a strip is called."""
+        return self.strip_names[strip] if 0 <= strip < len(self.strip_names) else str(strip)
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,9 +262,12 @@ class Attitudes:
     sigma : ndarray, shape (g, 3) or float
         Of the rotations about the tangent axes x y z, radians.
     boresight : bool
-        Whether a common misalignment (rotation vector in camera axes) is unknown.
+        Whether a misalignment common to each mount (rotation vector in camera axes) is unknown.
     boresight_sigma : float
         Standard deviation of its prior (0), radians; infinite for none.
+    mount : ndarray of int, shape (g,), optional
+        Group that shares a misalignment.
+    mount_names : tuple of str
     """
 
     photo: Integers
@@ -253,12 +275,15 @@ class Attitudes:
     sigma: Array
     boresight: bool = False
     boresight_sigma: float = math.inf
+    mount: Integers | None = None
+    mount_names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         g = len(self.photo)
         _own(self, "photo", np.int64, (g,))
         _own(self, "rotations", np.float64, (g, 3, 3))
         _own(self, "sigma", np.float64, (g, 3))
+        _own_mount(self, g)
         _positive("attitudes.sigma", self.sigma)
         _finite("attitudes.rotations", self.rotations)
 
@@ -331,6 +356,17 @@ def _own(owner: Any, name: str, dtype: Any, shape: tuple[int, ...]) -> None:
         raise InputError(f"must have shape {shape}", field=field_name, value=given.shape) from None
     value.flags.writeable = False
     object.__setattr__(owner, name, value)
+
+
+def _own_mount(owner: Positions | Attitudes, g: int) -> None:
+    """Groups of lever arms and misalignments, numbered from 0; all are one where nothing is said."""
+    if owner.mount is None:
+        object.__setattr__(owner, "mount", np.zeros(g, np.int64))
+    _own(owner, "mount", np.int64, (g,))
+    assert owner.mount is not None
+    if owner.mount.size and owner.mount.min() < 0:
+        field_name = f"{type(owner).__name__.lower()}.mount"
+        raise InputError("must not be negative", field=field_name, value=int(owner.mount.min()))
 
 
 def _finite(name: str, values: Array, names: tuple[str, ...] = ()) -> None:

@@ -191,7 +191,7 @@ def statistics_of(
     control = of_control(solution, points, scale, limit)
     if solution.defect.size:
         change = inner_constraints(solution, equations, factored)
-        photos, points, by_shared = change.applied(photos, points, by_shared)
+        photos, points, by_shared, shared = change.applied(photos, points, by_shared, shared)
     photos = np.where(solution.lonely[:, None, None], np.nan, photos)
     return Statistics(
         sigma0,

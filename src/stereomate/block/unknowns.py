@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.block.kernels import system
-from stereomate.block.network import PIXEL_PARAMETERS, BlockCamera, Network
+from stereomate.block.network import PIXEL_PARAMETERS, Attitudes, BlockCamera, Network, Positions
 from stereomate.camera.kernels import BROWN_INVERSE
 from stereomate.camera.kernels.layout import R2_MAX
 from stereomate.camera.model import Camera
@@ -37,8 +37,8 @@ class Layout:
     shift, drift : ndarray of int, shape (strips,)
         First of three columns of each strip, -1 for none; the strip itself is in `strips`.
     strips : ndarray of int
-    lever_arm, boresight : int
-        First of three columns, -1 for none.
+    lever_arm, boresight : ndarray of int, shape (mounts,)
+        First of three columns of each mount, -1 for none.
     prior_sigma : ndarray, shape (q,)
         Of each unknown, infinite for none.
     """
@@ -50,8 +50,8 @@ class Layout:
     strips: Integers
     shift: Integers
     drift: Integers
-    lever_arm: int
-    boresight: int
+    lever_arm: Integers
+    boresight: Integers
     prior_sigma: Array
 
 
@@ -66,8 +66,8 @@ class State:
     cameras : tuple of ndarray
         `camera_values` of each.
     shared : ndarray, shape (q,)
-        Shifts, drifts and the correction of the lever arm at their columns (the rest is not used).
-    boresight : ndarray, shape (3, 3)
+        Shifts, drifts and corrections of lever arms at their columns (the rest is not used).
+    boresight : ndarray, shape (mounts, 3, 3)
     """
 
     centres: Array
@@ -141,18 +141,14 @@ def layout_of(network: Network) -> Layout:
                 continue
             for i, strip in enumerate(strips.tolist()):
                 columns[i] = len(names)
-                names += [f"strip {strip}: {what} {axis}" for axis in _AXES]
-                sigma += [positions.shift_sigma if what == "shift" else math.inf] * 3
-    lever_arm = -1
+                names += [f"strip {positions.strip_name(strip)}: {what} {axis}" for axis in _AXES]
+                sigma += getattr(positions, f"{what}_sigma").tolist()
+    lever_arm = boresight = np.full(1, -1)
     if positions is not None and positions.lever_arm_sigma > 0.0:
-        lever_arm = len(names)
-        names += [f"lever arm {axis}" for axis in _AXES]
-        sigma += [positions.lever_arm_sigma] * 3
-    boresight = -1
-    if network.attitudes is not None and network.attitudes.boresight:
-        boresight = len(names)
-        names += [f"boresight {axis}" for axis in _AXES]
-        sigma += [network.attitudes.boresight_sigma] * 3
+        lever_arm = _of_mounts(positions, "lever arm", positions.lever_arm_sigma, names, sigma)
+    attitudes = network.attitudes
+    if attitudes is not None and attitudes.boresight:
+        boresight = _of_mounts(attitudes, "boresight", attitudes.boresight_sigma, names, sigma)
     return Layout(
         tuple(names),
         np.array(first, dtype=np.int64),
@@ -165,6 +161,23 @@ def layout_of(network: Network) -> Layout:
         boresight,
         np.array(sigma, dtype=np.float64),
     )
+
+
+def _of_mounts(
+    part: Positions | Attitudes, what: str, prior: float, names: list[str], sigma: list[float]
+) -> Integers:
+    """Columns of what the observations of a mount share; names and priors are added."""
+    assert part.mount is not None  # filled in by the network
+    columns = np.full(int(part.mount.max(initial=0)) + 1, -1)
+    present = np.unique(part.mount).tolist()
+    for mount in present:
+        columns[mount] = len(names)
+        label = what
+        if len(present) > 1:
+            label += f" of {part.mount_names[mount] if mount < len(part.mount_names) else mount}"
+        names += [f"{label} {axis}" for axis in _AXES]
+        sigma += [prior] * 3
+    return columns
 
 
 def _chosen(entry: BlockCamera) -> Integers:
@@ -180,7 +193,7 @@ def start_of(network: Network, layout: Layout) -> State:
         network.points.xyz,
         tuple(camera_values(entry.camera) for entry in network.cameras),
         np.zeros(len(layout.names)),
-        np.eye(3),
+        np.broadcast_to(np.eye(3), (len(layout.boresight), 3, 3)),
     )
 
 
@@ -191,10 +204,9 @@ def moved(state: State, layout: Layout, photos: Array, points: Array, shared: Ar
         values = values.copy()
         values[chosen] += shared[first : first + len(chosen)]
         cameras.append(values)
-    at = layout.boresight
     boresight = state.boresight
-    if at >= 0:
-        boresight = boresight @ rotation_from_vector(shared[at : at + 3])
+    if (layout.boresight >= 0).any():
+        boresight = boresight @ rotation_from_vector(of_mounts(layout.boresight, shared))
     centres, rotations = state.centres.copy(), state.rotations.copy()
     system.move(photos, centres, rotations)
     return State(
@@ -214,10 +226,16 @@ def prior_residuals(state: State, start: State, layout: Layout) -> Array:
         state.cameras, start.cameras, layout.first.tolist(), layout.chosen, strict=True
     ):
         residual[first : first + len(chosen)] = then[chosen] - now[chosen]
-    at = layout.boresight
-    if at >= 0:
-        residual[at : at + 3] = -vector_from_rotation(state.boresight)
+    for at, boresight in zip(layout.boresight.tolist(), state.boresight, strict=True):
+        if at >= 0:
+            residual[at : at + 3] = -vector_from_rotation(boresight)
     return residual
+
+
+def of_mounts(columns: Integers, shared: Array) -> Array:
+    """Three numbers of each mount (mounts, 3) out of the shared unknowns; zeros where it has none."""
+    taken = shared[np.maximum(columns, 0)[:, None] + np.arange(3)] if len(shared) else np.zeros((1, 3))
+    return np.where((columns >= 0)[:, None], taken, 0.0)
 
 
 def vector_from_rotation(rotation: Array) -> Array:
