@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -211,13 +212,31 @@ def test_turned_and_mirrored_scans_are_found(kind, rotation, mirrored):
     assert (result.rotation, result.mirrored) == (rotation, mirrored)
     assert np.abs(result.residuals_mm).max() < 1e-9
     assert result.pitch_mm == pytest.approx(0.012, rel=1e-5)
-    if kind != "projective":
-        camera = Camera("film", (19500, 19500), 152.3, (0.0, 0.0), result.pixel_from_photo)
-        for name, pixel in _scan(rotation, mirrored).items():
-            np.testing.assert_allclose(camera.photo_from_image(pixel), USGS_MARKS[name], atol=1e-9)
-    else:
-        with pytest.raises(InputError, match="similarity or affine"):
-            _ = result.pixel_from_photo
+    camera = Camera("film", (19500, 19500), 152.3, (0.0, 0.0), result.pixel_from_photo)
+    camera = replace(camera, projective_per_mm=result.projective_per_mm)
+    for name, pixel in _scan(rotation, mirrored).items():
+        np.testing.assert_allclose(camera.photo_from_image(pixel), USGS_MARKS[name], atol=1e-9)
+        np.testing.assert_allclose(camera.image_from_photo(USGS_MARKS[name]), pixel, atol=1e-6)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("rotation", [0, 90, 180, 270])
+def test_picture_of_a_scan_is_what_the_frame_leaves(rotation, mirrored):
+    found = interior_orientation(USGS_MARKS, _scan(rotation, mirrored), "affine")
+    film = Camera("film", (19500, 19500), 152.3, (0.0, 0.0), found.pixel_from_photo, format_mm=(200.0, 180.0))
+    first, last = film.picture_px([[0.0, 0.0], [1.0, 1.0]])
+    assert (first < last).all()
+    assert (first > 0.0).all()
+    np.testing.assert_allclose(np.abs(film.photo_from_image([first, last])), [[100.0, 90.0]] * 2, atol=1e-9)
+    inner = film.picture_px([[0.001, 0.5], [0.5, 0.999]])
+    outer = film.picture_px([[-0.001, 0.5], [0.5, 1.001]])
+    for pixels, seen in ((inner, True), (outer, False)):
+        assert (film.in_picture(pixels) == seen).all()
+        assert (film.image_from_camera(film.rays_from_image(pixels))[1] == seen).all()
+    assert not film.in_picture(inner, margin_px=20.0).any()
+    # A scan that cuts the picture off shows as much of it as it has pixels.
+    cut = replace(film, size_px=(10000, 9000))
+    assert (cut.picture_px([1.0, 1.0]) == (10000, 9000)).all()
 
 
 def test_statistics_of_the_marks():

@@ -15,8 +15,9 @@ import tifffile
 from run_survey import make, raster, write_tiny
 
 from stereomate.cli import main
+from stereomate.coverage.summary import survey_coverage
 from stereomate.dense.epipolar import epipolar_pair
-from stereomate.errors import ImageError, ProjectError
+from stereomate.errors import ProjectError
 from stereomate.measurement.fiducial_marks import MarkTemplate, drawn_mark
 from stereomate.project import load
 from stereomate.project.interior import interior_of_project
@@ -163,6 +164,16 @@ def test_every_scan_has_the_camera_of_its_own_marks(survey: tuple[Path, Path], f
         scan, inside = other.camera.image_from_camera(rays)
         assert inside.all()
         np.testing.assert_allclose(scan, lying(pixels + MARGIN, *way), atol=0.3)
+
+
+def test_frame_covers_no_ground(survey: tuple[Path, Path], found: list[dict]) -> None:
+    """Footprints and overlaps of scans are those of the photographs without their frames."""
+    digital, film = (survey_coverage(load(path).survey, 0.0) for path in survey)
+    for one, other in zip(digital.footprints, film.footprints, strict=True):
+        shared = one.polygon.intersection(other.polygon).area
+        assert shared > 0.99 * max(one.polygon.area, other.polygon.area)
+    for one, other in zip(digital.pairs, film.pairs, strict=True):
+        assert other.overlap == pytest.approx(one.overlap, abs=0.01)
 
 
 def test_frame_and_marks_are_in_no_product(
@@ -347,7 +358,7 @@ calibrate = "none"
 def test_photographs_known_by_measurements_alone(data_folder: Path, tmp_path: Path) -> None:
     """Marks and six points of a model, measured in a comparator: interior and relative orientation.
 
-    Expected are the affine parameters that the laboratory printed; a projective one is refused.
+    Expected are the affine parameters that the laboratory printed; a projective one orients them as well.
     """
 
     def cells(path: str) -> list[list[str]]:
@@ -383,5 +394,8 @@ def test_photographs_known_by_measurements_alone(data_folder: Path, tmp_path: Pa
     assert record["summary"]["oriented"] == 2
     assert record["summary"]["redundancy"] == 1
     path.write_text(HOUSTON.format(marks=marks, kind="projective"), encoding="utf-8")
-    with pytest.raises(ImageError, match=r"similarity or affine.*transform = \"affine\""):
-        orient(path, tmp_path / "orient")
+    again = orient(path, tmp_path / "projective").record
+    assert again["summary"]["oriented"] == 2
+    # Other marks than those of the affine: the model is another by little, and it is another.
+    rotations = [[p["omega_phi_kappa_deg"] for p in r["photographs"]] for r in (record, again)]
+    assert 0.0 < np.abs(np.diff(rotations, axis=0)).max() < 0.05

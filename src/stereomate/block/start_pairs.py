@@ -167,13 +167,12 @@ def _by_footprints(
 
 def level_footprint(camera: Camera, centre: Array, rotation: Array, ground: float) -> shapely.Polygon:
     """What a photograph shows of level ground; rays near or above the horizon are cut short."""
-    columns, rows = camera.size_px
     share = np.linspace(0.0, 1.0, 5)[:-1]
     zero, one = np.zeros(4), np.ones(4)
     border = np.concatenate(
         [np.column_stack(side) for side in ((share, zero), (one, share), (1 - share, one), (zero, 1 - share))]
-    ) * [columns, rows]
-    rays = camera.rays_from_image(border)
+    )
+    rays = camera.rays_from_image(camera.picture_px(border))
     rays = np.where(np.isfinite(rays), rays, 0.0) @ rotation.T
     rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)
     height = max(float(centre[2]) - ground, 1e-6)
@@ -205,7 +204,6 @@ def _by_distance(cameras: Sequence[Camera], known: Approximation, options: PairO
 
 def _half_angle_tangent(camera: Camera) -> float:
     """Tangent of half the field of view along the diagonal."""
-    columns, rows = camera.size_px
-    corners = camera.rays_from_image(np.array([[0, 0], [columns, 0], [0, rows], [columns, rows]], float))
+    corners = camera.rays_from_image(camera.picture_px([[0, 0], [1, 0], [0, 1], [1, 1]]))
     radius = np.linalg.norm(corners[:, :2], axis=1)
     return float(np.nanmax(radius)) if np.isfinite(radius).any() else 1.0

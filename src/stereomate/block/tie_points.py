@@ -302,6 +302,11 @@ class _FeatureCache:
         return found
 
 
+def _scan_key(photo: BlockPhoto) -> list[str]:
+    projective = photo.camera.projective_per_mm
+    return [repr(photo.camera.pixel_from_photo), *([] if projective == (0.0, 0.0) else [repr(projective)])]
+
+
 def _features_key(photo: BlockPhoto, options: TiePointOptions) -> str:
     return run_key(
         photo=photo.digest,
@@ -309,7 +314,7 @@ def _features_key(photo: BlockPhoto, options: TiePointOptions) -> str:
         side=options.automatic.largest_side_px,
         features=vars(options.automatic.features),
         mirrored=is_mirrored(photo.camera),
-        frame=None if photo.format_mm is None else [*photo.format_mm, repr(photo.camera.pixel_from_photo)],
+        frame=None if photo.format_mm is None else [*photo.format_mm, *_scan_key(photo)],
     )
 
 

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from stereomate.block.kernels import system
 from stereomate.block.network import PIXEL_PARAMETERS, Attitudes, BlockCamera, Network, Positions
-from stereomate.camera.kernels import BROWN_INVERSE
+from stereomate.camera.kernels import BROWN_INVERSE, FILM_INVERSE
 from stereomate.camera.kernels.layout import R2_MAX
 from stereomate.camera.model import Camera
-from stereomate.camera.packing import pack, pack_parameters
+from stereomate.camera.packing import pack_parameters
 from stereomate.geometry.rotations import rotation_from_vector
 
 Array = NDArray[np.float64]
@@ -107,11 +107,12 @@ def packed_camera(camera: Camera, values: Array, chosen: Integers) -> tuple[Arra
     if values[-2:].any() or np.any(chosen >= len(values) - 2):
         matrix = _affine(camera, stepped)
     # The last set is the values themselves.
-    by_step = pack_parameters(stepped[:-2], matrix, camera.distortion)
-    if camera.jacobian_model == BROWN_INVERSE:
+    film = camera.film_stage
+    by_step = pack_parameters(stepped[:-2], matrix, camera.distortion, film)
+    if camera.jacobian_model in (BROWN_INVERSE, FILM_INVERSE):
         # The inverse needs its bracket.
         moved = camera_from_values(camera, values)
-        packed = np.array(pack(moved.size_px, moved.parameters, moved.pixel_from_photo, moved.distortion)[1])
+        packed = np.array(moved.kernel_parameters()[1])
     else:
         packed = np.ascontiguousarray(by_step[:, -1].real)
         packed[R2_MAX] = math.inf

@@ -60,20 +60,14 @@ class InteriorOrientation:
 
     @property
     def pixel_from_photo(self) -> Affine2:
-        """For `Camera`.
-
-        Raises
-        ------
-        InputError
-            For a projective transform, which a camera does not carry.
-        """
-        if self.photo_from_pixel.kind == "projective":
-            raise InputError(
-                "must be similarity or affine to become part of a camera",
-                field="interior orientation",
-                value="projective",
-            )
+        """For `Camera`: of a projective transform the numerators."""
         return self.photo_from_pixel.inverse().affine
+
+    @property
+    def projective_per_mm(self) -> Point:
+        """For `Camera`: the denominator of a projective transform."""
+        x, y, _ = self.photo_from_pixel.inverse().matrix[2]
+        return x, y
 
 
 def interior_orientation(

@@ -23,6 +23,7 @@ from stereomate.camera.distortion import (
 )
 from stereomate.camera.kernels.layout import R2_MAX
 from stereomate.camera.packing import Affine2, FilmStage, interior_vector, model_code, pack, pack_jacobian
+from stereomate.camera.pixel_array import check_size, pixel_from_photo_of_array
 from stereomate.errors import InputError
 
 Array = NDArray[np.float64]
@@ -80,7 +81,7 @@ class Camera:
         if not self.name:
             raise InputError("must not be empty", field="camera.name", value=self.name)
         where = f"camera {self.name!r}: "
-        _check_size(self.size_px, where)
+        check_size(self.size_px, where)
         c = self.principal_distance_mm
         if not (math.isfinite(c) and c > 0.0):
             raise InputError("must be positive millimetres", field=where + "principal_distance_mm", value=c)
@@ -104,7 +105,7 @@ class Camera:
         q = self.projective_per_mm
         if np.shape(q) != (2,) or not np.isfinite(q).all():
             raise InputError("must be two finite numbers", field=where + "projective_per_mm", value=q)
-        if self._film is not None and isinstance(self.distortion, OpenCVDistortion | FisheyeDistortion):
+        if self._is_film and isinstance(self.distortion, OpenCVDistortion | FisheyeDistortion):
             raise InputError(
                 "must be Brown's or none where film is deformed or its scan projective",
                 field=where + "distortion",
@@ -138,7 +139,7 @@ class Camera:
         mirrored : bool
             The stored array is mirrored left to right (before it is turned).
         """
-        _check_size(size_px, f"camera {name!r}: ")
+        check_size(size_px, f"camera {name!r}: ")
         pitch = pixel_pitch_mm if isinstance(pixel_pitch_mm, tuple) else (pixel_pitch_mm, pixel_pitch_mm)
         if not all(math.isfinite(v) and v > 0.0 for v in pitch):
             raise InputError(
@@ -170,7 +171,7 @@ class Camera:
         sensor_width_mm : float
             Only gives the millimetres their size; 36 mm where nothing is known.
         """
-        _check_size(size_px, f"camera {name!r}: ")
+        check_size(size_px, f"camera {name!r}: ")
         fx, fy = focal_px
         for value in (fx, fy, sensor_width_mm):
             if not (math.isfinite(value) and value > 0.0):
@@ -186,15 +187,23 @@ class Camera:
 
     def kernel_parameters(self) -> tuple[int, Array]:
         """Model code and parameter array for the functions of `stereomate.camera.kernels`."""
-        return pack(self.size_px, self.parameters, self.pixel_from_photo, self.distortion, self._film)
+        return pack(self.size_px, self.parameters, self.pixel_from_photo, self.distortion, self.film_stage)
 
     @property
-    def _film(self) -> FilmStage | None:
-        """What film adds to the lens; None of an ordinary camera."""
-        if self.deformation is None and self.projective_per_mm == (0.0, 0.0):
+    def _is_film(self) -> bool:
+        return self.deformation is not None or self.projective_per_mm != (0.0, 0.0)
+
+    @property
+    def film_stage(self) -> FilmStage | None:
+        """What film adds to the lens, for `stereomate.camera.packing`; None of an ordinary camera."""
+        framed = self.format_mm is not None and isinstance(self.distortion, NoDistortion | BrownDistortion)
+        if not (self._is_film or framed):
             return None
         spacing = 1.0 if self.deformation is None else self.deformation.spacing_mm
-        return FilmStage(spacing, self.deformation is not None, self.projective_per_mm)
+        width, height = self.format_mm or (math.inf, math.inf)
+        return FilmStage(
+            spacing, self.deformation is not None, self.projective_per_mm, (width / 2.0, height / 2.0)
+        )
 
     def image_from_camera(self, points: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
         """Pixels of points in the camera frame.
@@ -209,7 +218,8 @@ class Camera:
         pixels : ndarray, shape (..., 2)
             Column and row; NaN behind the camera and beyond the monotonic range of the distortion.
         inside : ndarray of bool, shape (...)
-            On the pixel array (0 <= column < columns), before the camera and within the monotonic range.
+            On the pixel array (0 <= column < columns), before the camera and within the monotonic range; not
+            on the frame of film.
         """
         points = np.asarray(points, dtype=np.float64)
         shape = points.shape[:-1]
@@ -254,13 +264,31 @@ class Camera:
             result = result / (1.0 + photo_mm @ np.array(self.projective_per_mm))[..., None]
         return result
 
-    def in_picture(self, pixels: ArrayLike) -> NDArray[np.bool_]:
-        """Whether pixel positions (..., 2) lie in the picture, not on the frame of the film around it."""
+    def in_picture(self, pixels: ArrayLike, margin_px: float = 0.0) -> NDArray[np.bool_]:
+        """Whether pixel positions (..., 2) lie in the picture, not on the frame of the film around it.
+
+        And by so many pixels within its edge.
+        """
         pixels = np.asarray(pixels, dtype=np.float64)
         if self.format_mm is None:
             return np.ones(pixels.shape[:-1], np.bool_)
-        half = np.array(self.format_mm) / 2.0
+        (a, b, _), (d, e, _) = self.pixel_from_photo
+        half = np.array(self.format_mm) / 2.0 - margin_px / math.sqrt(abs(a * e - b * d))
         return np.asarray((np.abs(self.photo_from_image(pixels)) <= half).all(axis=-1))
+
+    def picture_px(self, shares: ArrayLike) -> Array:
+        """Pixel positions of shares (..., 2) of the picture as stored: (0, 0) first corner, (1, 1) last.
+
+        The picture is the pixel array; of film the part of it within the frame.
+        """
+        shares, size = np.asarray(shares, dtype=np.float64), np.array(self.size_px, dtype=np.float64)
+        if self.format_mm is None:
+            return np.asarray(shares * size)
+        linear = np.array(self.pixel_from_photo)[:, :2]
+        turned = abs(linear[0, 1]) > abs(linear[0, 0])
+        steps = (shares[..., ::-1] if turned else shares) - 0.5  # along x and y of the photo system
+        signs = np.sign(linear[[1, 0], [0, 1]] if turned else linear[[0, 1], [0, 1]])
+        return np.asarray(np.clip(self.image_from_photo(steps * signs * np.array(self.format_mm)), 0.0, size))
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -333,7 +361,7 @@ class Camera:
 
     def parameter_jacobian(self) -> Array:
         """d (parameter array of the kernels) / d (`parameters`), shape (kernels.LENGTH, n)."""
-        return pack_jacobian(self.parameters, self.pixel_from_photo, self.distortion, self._film)
+        return pack_jacobian(self.parameters, self.pixel_from_photo, self.distortion, self.film_stage)
 
     @property
     def monotonic_radius(self) -> float:
@@ -362,38 +390,4 @@ class Camera:
         """
         if isinstance(self.distortion, OpenCVDistortion):
             return kernels.OPENCV
-        return model_code(self.distortion, self._film)
-
-
-def _check_size(size_px: tuple[int, int], where: str) -> None:
-    if np.shape(size_px) != (2,) or not all(float(v).is_integer() and v > 0 for v in size_px):
-        raise InputError(
-            "must be two positive integers (columns, rows)", field=where + "size_px", value=size_px
-        )
-
-
-def pixel_from_photo_of_array(
-    size_px: tuple[int, int], pitch_mm: tuple[float, float], rotation: int = 0, mirrored: bool = False
-) -> Affine2:
-    """Affine from the photo system (mm, origin at the centre of the array) to stored pixels.
-
-    `rotation` in degrees clockwise of the stored array against the calibration; `mirrored` left to right
-    before that.
-
-    Raises
-    ------
-    InputError
-        If `rotation` is not 0, 90, 180 or 270.
-    """
-    # Clockwise turn of an image: right (col +) becomes down (row +), down becomes left.
-    turns = {0: ((1, 0), (0, 1)), 90: ((0, -1), (1, 0)), 180: ((-1, 0), (0, -1)), 270: ((0, 1), (-1, 0))}
-    if rotation not in turns:
-        raise InputError("must be 0, 90, 180 or 270 degrees", field="rotation", value=rotation)
-    (a, b), (c, d) = turns[rotation]
-    side = -1.0 if mirrored else 1.0
-    columns, rows = size_px
-    # (right, down) of the calibration in mm is (side * x, -y).
-    return (
-        (a * side / pitch_mm[0], -b / pitch_mm[0], columns / 2.0),
-        (c * side / pitch_mm[1], -d / pitch_mm[1], rows / 2.0),
-    )
+        return model_code(self.distortion, self.film_stage)

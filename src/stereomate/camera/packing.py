@@ -44,12 +44,14 @@ _FILM_RADII, _FILM_DIRECTIONS = 32, 48
 class FilmStage(NamedTuple):
     """What stands between the lens and the pixels of film: all that is not one of the parameters.
 
-    `spacing_mm` of Ebner's grid, whether his twelve are parameters, and the denominator of a projective scan.
+    `spacing_mm` of Ebner's grid, whether his twelve are parameters, the denominator of a projective scan, and
+    half the width and height of the picture in mm (infinite: no frame is known).
     """
 
     spacing_mm: float
     deformed: bool
     projective: tuple[float, float]
+    half_mm: tuple[float, float] = (math.inf, math.inf)
 
 
 def model_code(distortion: Distortion, film: FilmStage | None = None) -> int:
@@ -174,6 +176,7 @@ def _film_into(packed: Any, twelve: Any, affine: Any, film: FilmStage) -> Any:
         packed[row], packed[row + 1], packed[row + 2] = ax * s, ay * s, a0
     packed[k.Q], packed[k.Q + 1] = film.projective[0] * s, film.projective[1] * s
     packed[k.F_R2_MAX] = math.inf
+    packed[k.HALF], packed[k.HALF + 1] = film.half_mm[0] / s, film.half_mm[1] / s
     return ((1.0 / s, 0.0, 0.0), (0.0, 1.0 / s, 0.0))
 
 

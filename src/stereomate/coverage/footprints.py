@@ -62,10 +62,11 @@ class Footprint:
 class _View:
     """Rays of a set of pixels in the tangent frame, unit vectors, and the local vertical at the centre.
 
-    ``distances`` to the ground are NaN where a ray does not meet it.
+    ``within``: not on the border. ``distances`` to the ground are NaN where a ray does not meet it.
     """
 
     pixels: Floats
+    within: NDArray[np.bool_]
     centre: Floats
     up: Floats
     directions: Floats
@@ -86,6 +87,7 @@ class _View:
         return replace(
             self,
             pixels=self.pixels[which],
+            within=self.within[which],
             directions=self.directions[which],
             distances=self.distances[which],
         )
@@ -112,7 +114,7 @@ def footprint(survey: Survey, photograph: Photograph, ground: HeightModel | floa
         If no ray of it meets the height model, or its centre is below the ground.
     """
     view = _view(survey, photograph)
-    on_border = ~_inside(view.pixels, photograph.camera.size_px)
+    on_border = ~view.within
     _require_downwards(photograph, view.part(~on_border))
     steep = view.sink >= math.sin(_SHALLOWEST)
     view = _on_surface(survey, view, steep, ground)
@@ -142,25 +144,21 @@ def footprint(survey: Survey, photograph: Photograph, ground: HeightModel | floa
     )
 
 
-def _pixels(size_px: tuple[int, int]) -> Floats:
-    """Pixels of the border of a photograph as an open loop, and the cell centres of a grid over it."""
+def _shares() -> Floats:
+    """The border of a picture as an open loop and the cell centres of a grid, in shares of its sides."""
     steps = (np.arange(_GRID) + 0.5) / _GRID
     grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     t = np.arange(_BORDER) / _BORDER
     zero, one = np.zeros(_BORDER), np.ones(_BORDER)
     sides = [(t, zero), (one, t), (1.0 - t, one), (zero, 1.0 - t)]
-    return np.concatenate([*(np.stack(side, axis=-1) for side in sides), grid]) * np.array(
-        size_px, np.float64
-    )
-
-
-def _inside(pixels: Floats, size_px: tuple[int, int]) -> NDArray[np.bool_]:
-    return np.asarray(((pixels > 0.0) & (pixels < np.array(size_px))).all(axis=1))
+    return np.concatenate([*(np.stack(side, axis=-1) for side in sides), grid])
 
 
 def _view(survey: Survey, photograph: Photograph) -> _View:
     """Rays of grid and border; pixels beyond the monotonic range of the distortion have none."""
-    pixels = _pixels(photograph.camera.size_px)
+    shares = _shares()
+    within = np.asarray(((shares > 0.0) & (shares < 1.0)).all(axis=1))
+    pixels = photograph.camera.picture_px(shares)
     rays = photograph.camera.rays_from_image(pixels)
     known = np.isfinite(rays).all(axis=1)
     directions = rays[known] @ photograph.orientation.object_from_camera.T
@@ -168,7 +166,7 @@ def _view(survey: Survey, photograph: Photograph) -> _View:
     centre = np.asarray(photograph.orientation.centre, np.float64)
     lon, lat, _ = survey.tangent.geodetic_from_tangent(centre)
     up = np.asarray(survey.tangent.rotation_tangent_from_enu(lon, lat)[:, 2], np.float64)
-    return _View(pixels[known], centre, up, directions, np.full(len(directions), np.nan))
+    return _View(pixels[known], within[known], centre, up, directions, np.full(len(directions), np.nan))
 
 
 def _on_surface(survey: Survey, view: _View, steep: NDArray[np.bool_], ground: HeightModel | float) -> _View:

@@ -198,11 +198,10 @@ def _inside(photograph: Photograph, points: Array) -> Mask:
 
 def _bounds(photograph: Photograph, axes: Array, focal_px: float) -> tuple[float, float, float, float]:
     """Least and largest x and y (up) of a photograph's edge in the epipolar plane, pixels."""
-    columns, rows = photograph.camera.size_px
     t = np.linspace(0.0, 1.0, _EDGE)
     zero, one = np.zeros_like(t), np.ones_like(t)
     edge = np.concatenate([np.stack(side, axis=1) for side in ((t, zero), (t, one), (zero, t), (one, t))])
-    rays = photograph.camera.rays_from_image(edge * [columns, rows])
+    rays = photograph.camera.rays_from_image(photograph.camera.picture_px(edge))
     local = rays @ (axes.T @ photograph.orientation.object_from_camera).T
     with np.errstate(divide="ignore", invalid="ignore"):
         plane = local[:, :2] / -local[:, 2:]

@@ -64,8 +64,10 @@ def lens_of(camera: Camera) -> Lens:
     FormatError
         If its distortion or its stored pixels cannot be written that way exactly.
     """
+    if camera.deformation is not None:
+        raise _not_writable(camera, "Ebner's deformation of film")
     (a00, a01, a02), (a10, a11, a12) = camera.pixel_from_photo
-    if a01 != 0.0 or a10 != 0.0 or not (a00 > 0.0 > a11):
+    if camera.projective_per_mm != (0.0, 0.0) or a01 != 0.0 or a10 != 0.0 or not (a00 > 0.0 > a11):
         rule = (
             "has turned, mirrored or sheared pixels (film or rotated storage), which this format cannot hold"
         )

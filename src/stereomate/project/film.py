@@ -112,25 +112,15 @@ class Film:
         Raises
         ------
         ImageError
-            As `interior`; or for a projective transformation, which no camera carries.
+            As `interior`.
         """
         found = self.interior(photo)
-        try:
-            affine = found.pixel_from_photo
-        except InputError as error:
-            raise ImageError(
-                "must have a similarity or affine interior orientation to be used; a projective one is for "
-                "judging the film",
-                file=photo,
-                field="camera.fiducials.transform",
-                value=self.section.transform,
-                hint='transform = "affine"; stereomate interior states the residuals of any',
-            ) from error
         return replace(
             camera,
             name=f"{camera.name} [{photo.stem}]",
             size_px=size_px,
-            pixel_from_photo=affine,
+            pixel_from_photo=found.pixel_from_photo,
+            projective_per_mm=found.projective_per_mm,
             format_mm=self.section.format_mm,
         )
 

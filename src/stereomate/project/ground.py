@@ -137,9 +137,8 @@ def ellipsoidal_heights(points: Array, tangent: TangentFrame, model: HeightModel
 
 
 def _grid_of_pixels(camera: Camera) -> Array:
-    columns, rows = camera.size_px
-    col, row = np.meshgrid(np.linspace(0.0, columns, _RAYS), np.linspace(0.0, rows, _RAYS))
-    return np.stack([col.ravel(), row.ravel()], axis=-1)
+    shares = np.linspace(0.0, 1.0, _RAYS)
+    return camera.picture_px(np.stack(np.meshgrid(shares, shares), axis=-1).reshape(-1, 2))
 
 
 def _heights_below(

@@ -148,8 +148,7 @@ def _pattern(
     low, high, areas = [], [], []
     for k, (centre, turn) in enumerate(zip(centres, rotations, strict=True)):
         camera = result.cameras[int(result.network.photographs.camera[k])]
-        columns, rows = camera.size_px
-        corners = np.array([(0, 0), (columns, 0), (columns, rows), (0, rows)], dtype=np.float64)
+        corners = camera.picture_px([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
         rays = np.nan_to_num(camera.rays_from_image(corners)) @ turn.T
         ground = centre + rays * ((level - centre[2]) / rays[:, 2])[:, None]
         low.append(ground[:, :2].min(axis=0))

@@ -242,8 +242,9 @@ def _resample_photograph(
         map_y,
         valid,
     )
+    method = job.options.resampling
     if count == 0 or not clear_frame(
-        photograph.camera, (map_x, map_y), (shift[0], shift[1]), reduction, valid
+        photograph.camera, (map_x, map_y), (shift[0], shift[1]), reduction, method, valid
     ):
         return
     reader: PhotoReader = reader_of(photograph)
@@ -254,7 +255,7 @@ def _resample_photograph(
         _extremes(map_x, map_y, valid),
         (shift[0], shift[1]),
         reduction,
-        job.options.resampling,
+        method,
         out,
         valid,
     )

@@ -227,7 +227,7 @@ def _overview(
         float(window.row0), code, parameters, float(reduction), float(shift[0]), float(shift[1]),
         map_x, map_y, valid,
     )  # fmt: skip
-    if count == 0 or not clear_frame(photograph.camera, (map_x, map_y), shift, reduction, valid):
+    if count == 0 or not clear_frame(photograph.camera, (map_x, map_y), shift, reduction, "bilinear", valid):
         return None
     share = np.stack([map_x, map_y], axis=-1) + (np.asarray(shift, np.float32) + np.float32(0.5))
     share *= np.float32(reduction) / np.asarray(size, np.float32)

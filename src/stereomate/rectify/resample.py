@@ -84,16 +84,19 @@ def clear_frame(
     positions: tuple[Floats32, Floats32],
     shift: tuple[int, int],
     reduction: int,
+    method: Resampling,
     valid: NDArray[np.uint8],
 ) -> bool:
-    """Clear what lies on the frame of a film, not in its picture; whether anything is left.
+    """Clear what would take any of the frame of a film into it; whether anything is left.
 
     Positions as `resample` takes them.
     """
     if camera.format_mm is None:
         return True
     place = [(part + np.float32(0.5) + s) * reduction for part, s in zip(positions, shift, strict=True)]
-    valid[~camera.in_picture(np.stack(place, axis=-1))] = 0
+    # Every pixel with weight has to lie in the picture.
+    margin = (_REACH[method] + 0.5) * reduction
+    valid[~camera.in_picture(np.stack(place, axis=-1), margin)] = 0
     return bool(valid.any())
 
 

@@ -120,17 +120,10 @@ def _may_show(job: RectifyJob, ground: Ground, nodes: Floats, p: int) -> bool:
 @functools.lru_cache(maxsize=256)
 def field_of_view(camera: Camera) -> tuple[Floats, Floats]:
     """Least and greatest (x/-z, y/-z) over the border of a photograph, with a margin of 2 %."""
-    cols, rows = camera.size_px
     t = np.linspace(0.0, 1.0, 17)
-    border = np.concatenate(
-        [
-            np.stack([t * cols, 0 * t], axis=-1),
-            np.stack([t * cols, 0 * t + rows], axis=-1),
-            np.stack([0 * t, t * rows], axis=-1),
-            np.stack([0 * t + cols, t * rows], axis=-1),
-        ]
-    )
-    rays = camera.rays_from_image(border)
+    zero, one = np.zeros_like(t), np.ones_like(t)
+    border = np.concatenate([np.stack(side, axis=-1) for side in ((t, zero), (t, one), (zero, t), (one, t))])
+    rays = camera.rays_from_image(camera.picture_px(border))
     tangents = rays[:, :2] / -rays[:, 2:]
     tangents = tangents[np.isfinite(tangents).all(axis=1)]
     if len(tangents) < 8:

@@ -283,7 +283,7 @@ def _pitch(camera: Camera) -> float:
 
 def _ray_covariance(camera: Camera, pixels: Array, covariance: Array) -> Array:
     """Covariance of rays (x/c, y/c) from that of pixels; one for all where the camera has no distortion."""
-    if isinstance(camera.distortion, NoDistortion):
+    if isinstance(camera.distortion, NoDistortion) and camera.film_stage is None:
         inverse = np.linalg.inv(np.asarray(camera.pixel_from_photo)[:, :2]) / camera.principal_distance_mm
         jacobian = inverse[None]
     elif len(pixels) == 0:

@@ -18,6 +18,7 @@ import shapely
 from stereomate.camera.distortion import (
     BrownDistortion,
     Distortion,
+    EbnerDeformation,
     FisheyeDistortion,
     NoDistortion,
     OpenCVDistortion,
@@ -94,7 +95,18 @@ def camera_record(camera: Camera) -> Record:
         "pixel_from_photo": [list(row) for row in camera.pixel_from_photo],
         "distortion": {"model": kind, **distortion},
         **({} if camera.format_mm is None else {"format_mm": list(camera.format_mm)}),
+        **_film_record(camera),
     }
+
+
+def _film_record(camera: Camera) -> Record:
+    """What only film has."""
+    record: Record = {}
+    if camera.projective_per_mm != (0.0, 0.0):
+        record["projective_per_mm"] = list(camera.projective_per_mm)
+    if camera.deformation is not None:
+        record["deformation"] = {"model": "ebner", **dataclasses.asdict(camera.deformation)}
+    return record
 
 
 def camera_from_record(record: Record) -> Camera:
@@ -114,7 +126,18 @@ def camera_from_record(record: Record) -> Camera:
         (tuple(matrix[0]), tuple(matrix[1])),
         built,
         tuple(record["format_mm"]) if "format_mm" in record else None,
+        tuple(record.get("projective_per_mm", (0.0, 0.0))),
+        _deformation(record.get("deformation")),
     )
+
+
+def _deformation(record: Record | None) -> EbnerDeformation | None:
+    if record is None:
+        return None
+    values = dict(record)
+    if values.pop("model") != "ebner":
+        raise FormatError("must be a known model", field="deformation.model", value=record["model"])
+    return EbnerDeformation(**values)
 
 
 def photograph_record(photograph: Photograph, folder: Path) -> Record:

@@ -51,8 +51,7 @@ def _flattest_ray(job: RectifyJob) -> float:
     """Largest tangent of the angle between a ray at a photograph's corner and the vertical."""
     flattest = 0.0
     for photograph in job.photographs:
-        cols, rows = photograph.camera.size_px
-        corners = np.array([[0, 0], [cols, 0], [cols, rows], [0, rows]], np.float64)
+        corners = photograph.camera.picture_px([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
         rays = photograph.camera.rays_from_image(corners) @ photograph.orientation.object_from_camera.T
         known = np.isfinite(rays).all(axis=1)
         down = -rays[known, 2]

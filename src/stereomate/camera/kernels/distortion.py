@@ -49,15 +49,11 @@ def brown(p: Array, x: float, y: float) -> tuple[float, float]:
 
 
 @inline_kernel
-def brown_derivatives(p: Array, x: float, y: float, at: int = 0) -> Six:
-    """D of Brown's model and its derivative: (x', y', dx'/dx, dx'/dy, dy'/dx, dy'/dy).
-
-    `at`: where in `p` the parameter array begins; a view of it would count references.
-    """
-    k1, k2, k3, k4 = p[at + K1], p[at + K2], p[at + K3], p[at + K4]
-    p1, p2, b1, b2 = p[at + P1], p[at + P2], p[at + B1], p[at + B2]
+def brown_terms(coefficients: tuple[float, ...], x: float, y: float) -> Six:
+    """D of Brown's model and its derivative from (R0, K1, K2, K3, K4, P1, P2, B1, B2): as those below."""
+    r0, k1, k2, k3, k4, p1, p2, b1, b2 = coefficients
     s = x * x + y * y
-    radial = p[at + R0] + s * (k1 + s * (k2 + s * (k3 + s * k4)))
+    radial = r0 + s * (k1 + s * (k2 + s * (k3 + s * k4)))
     slope = 2.0 * (k1 + s * (2.0 * k2 + s * (3.0 * k3 + s * 4.0 * k4)))
     xy = 2.0 * x * y
     cross = x * y * slope + 2.0 * (p1 * y + p2 * x)
@@ -69,6 +65,12 @@ def brown_derivatives(p: Array, x: float, y: float, at: int = 0) -> Six:
         cross,
         radial + y * y * slope + 6.0 * p2 * y + 2.0 * p1 * x,
     )
+
+
+@inline_kernel
+def brown_derivatives(p: Array, x: float, y: float) -> Six:
+    """D of Brown's model and its derivative: (x', y', dx'/dx, dx'/dy, dy'/dx, dy'/dy)."""
+    return brown_terms((p[R0], p[K1], p[K2], p[K3], p[K4], p[P1], p[P2], p[B1], p[B2]), x, y)
 
 
 @kernel

@@ -16,6 +16,7 @@ from stereomate.camera.kernels.layout import (
     COLUMNS,
     F_R2_MAX,
     FILM_INVERSE,
+    HALF,
     LENGTH,
     ROWS,
     A,
@@ -54,14 +55,17 @@ def deformed(p: Array, x: float, y: float) -> Six:
 
 @kernel
 def pixel_of_film(p: Array, u: float, v: float) -> tuple[float, float, bool]:
-    """Pixel of film coordinates before deformation, and whether it is on the array; NaN if there is none."""
+    """Pixel of film coordinates before deformation; NaN if there is none.
+
+    And whether it is on the array and in the picture, not on the frame of the film around it.
+    """
     x, y, _, _, _, _ = deformed(p, u, v)
     w = 1.0 + p[Q] * x + p[Q + 1] * y
     # Behind the horizon of the scan, or where the polynomial folds the film back, is nowhere.
     w = 1.0 / w if (w > 0.0) & (u * u + v * v <= p[F_R2_MAX]) else np.nan
     column, row = (p[A] * x + p[A + 1] * y + p[A + 2]) * w, (p[A + 3] * x + p[A + 4] * y + p[A + 5]) * w
     inside = (column >= 0.0) & (column < p[COLUMNS]) & (row >= 0.0) & (row < p[ROWS])
-    return column, row, inside
+    return column, row, inside & (abs(x) <= p[HALF]) & (abs(y) <= p[HALF + 1])
 
 
 @kernel

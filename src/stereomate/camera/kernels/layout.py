@@ -31,4 +31,5 @@ F = 62  # 62..73 Ebner's twelve, in units of the spacing of his grid
 A = 74  # 74..79 numerators of the pixel from the deformed film coordinates
 Q = 80  # 80..81 denominator 1 + Q0 x + Q1 y
 F_R2_MAX = 82  # squared radius of the film coordinates up to which the deformation is monotonic
-LENGTH = 83
+HALF = 83  # 83..84 half the width and height of the picture, film coordinates
+LENGTH = 85
