@@ -8,8 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stereomate.block.kernels.projection import observe
-from stereomate.block.kernels.small import invert_symmetric, symmetric_vector
+from stereomate.block.kernels.projection import lens_of, observe, observe_general
+from stereomate.block.kernels.small import invert_symmetric, nine_of, symmetric_vector, three_of
+from stereomate.camera.kernels.layout import BROWN
 from stereomate.jit import inline_kernel, kernel
 
 Array = NDArray[np.float64]
@@ -45,9 +46,8 @@ def _cost_without(
     axis that control does not give.
     """
     rays = rows.shape[0]
-    entries, derivatives = np.empty((0, 2), np.int64), np.empty(0)
-    by_point, by_camera, scratch = np.empty((2, 3)), np.empty((2, 0)), np.zeros((2, packed.shape[1]))
-    x, v, inverse, right = place.copy(), np.empty(6), np.empty(6), np.empty(3)
+    parameters, scratch = packed.reshape(packed.size), np.zeros((3, packed.shape[1]))
+    x, v, right = (place[0], place[1], place[2]), np.empty(6), np.empty(3)
     cost, left = 0.0, 0
     for _ in range(_STEPS):
         v[:] = 0.0
@@ -60,10 +60,12 @@ def _cost_without(
                 continue
             k = photo[i]
             m = camera[k]
-            column, line, ok = observe(
-                model[m], packed[m], centres[k], rotations[k], x, 0, entries, derivatives, by_point,
-                by_camera, scratch,
-            )  # fmt: skip
+            seen = three_of(centres, k), nine_of(rotations, k), x
+            if model[m] <= BROWN:
+                observed, _ = observe(model[m], lens_of(parameters, m), *seen)
+            else:
+                observed = observe_general(model[m], parameters, m, *seen, scratch)
+            column, line, ok, ax, ay = observed
             if not ok:
                 return 0.0, -1
             left += 2
@@ -71,9 +73,9 @@ def _cost_without(
             cost += wx * rx * rx + wy * ry * ry
             at = 0
             for p in range(3):
-                right[p] += wx * by_point[0, p] * rx + wy * by_point[1, p] * ry
+                right[p] += wx * ax[p] * rx + wy * ay[p] * ry
                 for q in range(p, 3):
-                    v[at] += wx * by_point[0, p] * by_point[0, q] + wy * by_point[1, p] * by_point[1, q]
+                    v[at] += wx * ax[p] * ax[q] + wy * ay[p] * ay[q]
                     at += 1
         for p in range(3):
             unit = rays + p
@@ -84,10 +86,11 @@ def _cost_without(
             cost += known_weight[p] * difference * difference
             right[p] += known_weight[p] * difference
             v[3 * p - p * (p - 1) // 2] += known_weight[p]
-        if left < 0 or not invert_symmetric(v[0], v[1], v[2], v[3], v[4], v[5], inverse):
+        ok, inverse = invert_symmetric(v[0], v[1], v[2], v[3], v[4], v[5])
+        if left < 0 or not ok:
             return 0.0, -1
         s0, s1, s2 = symmetric_vector(inverse, right[0], right[1], right[2])
-        x[0], x[1], x[2] = x[0] + s0, x[1] + s1, x[2] + s2
+        x = (x[0] + s0, x[1] + s1, x[2] + s2)
         gain = right[0] * s0 + right[1] * s1 + right[2] * s2
         if gain <= 1e-6 * cost + 1e-9:
             return max(cost - gain, 0.0), left

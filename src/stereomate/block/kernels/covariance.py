@@ -12,8 +12,23 @@ from numpy.typing import NDArray
 
 from stereomate.block.kernels.blocks import own_block
 from stereomate.block.kernels.normal import loss_factor
-from stereomate.block.kernels.projection import observe
-from stereomate.block.kernels.small import symmetric_vector, times_symmetric
+from stereomate.block.kernels.projection import (
+    by_entries,
+    by_unknowns,
+    lens_of,
+    observe,
+    observe_general,
+)
+from stereomate.block.kernels.small import (
+    Six,
+    nine_of,
+    seen_at,
+    six_of,
+    symmetric_vector,
+    three_of,
+    times_symmetric,
+)
+from stereomate.camera.kernels.layout import BROWN
 from stereomate.jit import inline_kernel, kernel
 
 Array = NDArray[np.float64]
@@ -170,7 +185,7 @@ def _shared_of_point(
 def _point_covariance(
     rays: int,
     count: int,
-    v_inverse: Array,
+    v_inverse: Six,
     u: Array,
     motion_point: Array,
     s: Array,
@@ -311,7 +326,7 @@ def observation_statistics(
     wide = by_border.shape[1]
     rows = 6 if photo_point.shape[0] > 0 else 3
     by_point, by_camera = np.empty((longest, 2, 3)), np.empty((longest, 2, wide))
-    scratch = np.zeros((2, packed.shape[1]))
+    scratch, parameters = np.zeros((3, packed.shape[1])), packed.reshape(packed.size)
     d, u, weights = np.empty((longest, 3)), np.empty((longest, 3, 3)), np.empty((longest, 2))
     mine, row = np.empty(longest, np.int64), np.empty(longest, np.int64)
     with_point, motion_point = np.empty((longest, 6, 3)), np.empty((longest, 3, 3))
@@ -325,27 +340,33 @@ def observation_statistics(
     own, other = np.empty((6, 3)), np.empty((6, 3))
     square = np.empty((3, 3))
     for j in range(start.shape[0] - 1):
-        v = v_inverse[j]
+        v, point = six_of(v_inverse, j), three_of(points, j)
         rays = 0
         for i in range(start[j], start[j + 1]):
             k = photo[i]
             c = camera[k]
-            column, line, ok = observe(
-                model[c], packed[c], centres[k], rotations[k], points[j], free[c], entries[c],
-                derivatives[c], by_point[rays], by_camera[rays], scratch,
-            )  # fmt: skip
+            seen, lens = (three_of(centres, k), nine_of(rotations, k), point), lens_of(parameters, c)
+            if model[c] <= BROWN:
+                observed, inner = observe(model[c], lens, *seen)
+                if free[c] > 0:
+                    by_entries(lens, inner, scratch)
+            else:
+                observed = observe_general(model[c], parameters, c, *seen, scratch)
+            column, line, ok, ax, ay = observed
             if not ok:
                 continue
+            by_unknowns(c, free[c], entries, derivatives, scratch, rays, by_camera)
+            by_point[rays, 0, 0], by_point[rays, 0, 1], by_point[rays, 0, 2] = ax
+            by_point[rays, 1, 0], by_point[rays, 1, 1], by_point[rays, 1, 2] = ay
             rx, ry = xy[i, 0] - column, xy[i, 1] - line
             factor, _ = loss_factor(weight[i, 0] * rx * rx + weight[i, 1] * ry * ry, width)
             weights[rays, 0], weights[rays, 1] = weight[i, 0] * factor, weight[i, 1] * factor
             mine[rays], row[rays] = k, i
-            for x in range(3):
-                d[rays, x] = points[j, x] - centres[k, x]
-            w = times_symmetric(v, information[i])
-            for x in range(3):
-                for y in range(3):
-                    u[rays, x, y] = w[3 * x + y]
+            d[rays, 0], d[rays, 1], d[rays, 2] = seen_at(point, centres, k)
+            w = times_symmetric(v, six_of(information, i))
+            u[rays, 0, 0], u[rays, 0, 1], u[rays, 0, 2] = w[:3]
+            u[rays, 1, 0], u[rays, 1, 1], u[rays, 1, 2] = w[3:6]
+            u[rays, 2, 0], u[rays, 2, 1], u[rays, 2, 2] = w[6:]
             rays += 1
         count = 0
         for t in range(camera_start[j], camera_start[j + 1]):

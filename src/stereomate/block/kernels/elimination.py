@@ -7,10 +7,13 @@ from numpy.typing import NDArray
 
 from stereomate.block.kernels.small import (
     Nine,
+    Six,
+    Three,
     columns_cross,
     general_symmetric,
     rows_cross,
     seen_at,
+    six_of,
     symmetric_vector,
     times_symmetric,
 )
@@ -24,10 +27,10 @@ Indices = NDArray[np.int64]
 
 @inline_kernel
 def eliminate_cameras(
-    v_inverse: Array,
-    y0: float,
-    y1: float,
-    y2: float,
+    w: Six,
+    y: Three,
+    low: int,
+    high: int,
     cameras: Indices,
     first: Indices,
     free: Indices,
@@ -36,16 +39,19 @@ def eliminate_cameras(
     corner: Array,
     right_border: Array,
 ) -> None:
-    """Take a point out of the unknowns of its cameras; `solved`: these with the point, times V⁻¹."""
-    for t in range(cameras.shape[0]):
+    """Take a point out of the unknowns of its cameras, ``cameras[low:high]``.
+
+    `w`: V⁻¹ of the point, `y`: V⁻¹ b; written: `solved`, the cameras' unknowns with the point, times V⁻¹.
+    """
+    for t in range(low, high):
         c = cameras[t]
         for f in range(free[c]):
-            w0, w1, w2 = by_border[t, f, 0], by_border[t, f, 1], by_border[t, f, 2]
+            b0, b1, b2 = by_border[t, f, 0], by_border[t, f, 1], by_border[t, f, 2]
             row = first[c] + f
-            right_border[row] -= w0 * y0 + w1 * y1 + w2 * y2
-            s0, s1, s2 = symmetric_vector(v_inverse, w0, w1, w2)
-            solved[t, f, 0], solved[t, f, 1], solved[t, f, 2] = s0, s1, s2
-            for t2 in range(t + 1):
+            right_border[row] -= b0 * y[0] + b1 * y[1] + b2 * y[2]
+            s0, s1, s2 = symmetric_vector(w, b0, b1, b2)
+            solved[t - low, f, 0], solved[t - low, f, 1], solved[t - low, f, 2] = s0, s1, s2
+            for t2 in range(low, t + 1):
                 c2 = cameras[t2]
                 for g in range(f + 1 if t2 == t else free[c2]):
                     corner[row, first[c2] + g] -= (
@@ -58,38 +64,36 @@ def eliminate_photos(
     low: int,
     high: int,
     photo: Indices,
-    point: Array,
+    point: Three,
     centres: Array,
     place: Indices,
-    camera: Indices,
-    v_inverse: Array,
-    y0: float,
-    y1: float,
-    y2: float,
+    w: Six,
+    y: Three,
     information: Array,
-    skew: int,
-    band: Array,
+    stride: int,
+    flat: Array,
     right: Array,
     diagonal: Array,
 ) -> None:
-    """Add the photographs of a point with themselves and take the point out of all of them."""
-    # Entry (i, j) of the lower part, in both forms.
-    flat, stride = band.reshape(band.size), band.shape[1] - skew
+    """Add the photographs of a point with themselves and take the point out of all of them.
+
+    Entry (i, j) of the lower part lies at ``flat[j * stride + i]``, in both forms.
+    """
     for i in range(low, high):
-        n = information[i]
+        n = six_of(information, i)
         if n[0] + n[3] + n[5] == 0.0:
             continue
         k = photo[i]
         at = 6 * place[k]
-        dx, dy, dz = seen_at(point, centres[k])
-        g0, g1, g2 = symmetric_vector(n, y0, y1, y2)
+        dx, dy, dz = seen_at(point, centres, k)
+        g0, g1, g2 = symmetric_vector(n, y[0], y[1], y[2])
         right[at] += g0
         right[at + 1] += g1
         right[at + 2] += g2
         right[at + 3] -= g1 * dz - g2 * dy
         right[at + 4] -= g2 * dx - g0 * dz
         right[at + 5] -= g0 * dy - g1 * dx
-        u = times_symmetric(n, v_inverse)
+        u = times_symmetric(n, w)
         # Itself: N - N V⁻¹ N.
         c = general_symmetric(u, n)
         own = (n[0] - c[0], n[1] - c[1], n[2] - c[2], n[1] - c[3], n[3] - c[4], n[4] - c[5],
@@ -106,13 +110,13 @@ def eliminate_photos(
         diagonal[at + 4] += turned[4]
         diagonal[at + 5] += turned[8]
         for i2 in range(low, i):
-            n2 = information[i2]
+            n2 = six_of(information, i2)
             if n2[0] + n2[3] + n2[5] == 0.0:
                 continue
             k2 = photo[i2]
             c = general_symmetric(u, n2)
-            x, y, z = seen_at(point, centres[k2])
-            e = rows_cross(c, x, y, z)
+            ex, ey, ez = seen_at(point, centres, k2)
+            e = rows_cross(c, ex, ey, ez)
             _subtract(
                 c,
                 e,
@@ -208,10 +212,12 @@ def eliminate_border(
     low: int,
     high: int,
     photo: Indices,
-    point: Array,
+    point: Three,
     centres: Array,
     place: Indices,
     camera: Indices,
+    first_camera: int,
+    end_camera: int,
     cameras: Indices,
     first: Indices,
     free: Indices,
@@ -222,24 +228,25 @@ def eliminate_border(
 ) -> None:
     """Camera unknowns with the photographs of a point: ``(B - B_point V⁻¹ N) T``."""
     for i in range(low, high):
-        n = information[i]
+        n = six_of(information, i)
         if n[0] + n[3] + n[5] == 0.0:
             continue
         k = photo[i]
         at = 6 * place[k]
-        dx, dy, dz = seen_at(point, centres[k])
-        for t in range(cameras.shape[0]):
-            c = cameras[t]
+        dx, dy, dz = seen_at(point, centres, k)
+        for t in range(end_camera - first_camera):
+            c = cameras[first_camera + t]
             own = c == camera[k]
             for f in range(free[c]):
                 g0, g1, g2 = symmetric_vector(n, solved[t, f, 0], solved[t, f, 1], solved[t, f, 2])
                 if own:
-                    s = single[i - low, f]
-                    g0, g1, g2 = g0 - s[0], g1 - s[1], g2 - s[2]
-                row = border[first[c] + f]
-                row[at] += g0
-                row[at + 1] += g1
-                row[at + 2] += g2
-                row[at + 3] -= g1 * dz - g2 * dy
-                row[at + 4] -= g2 * dx - g0 * dz
-                row[at + 5] -= g0 * dy - g1 * dx
+                    g0 -= single[i - low, f, 0]
+                    g1 -= single[i - low, f, 1]
+                    g2 -= single[i - low, f, 2]
+                row = first[c] + f
+                border[row, at] += g0
+                border[row, at + 1] += g1
+                border[row, at + 2] += g2
+                border[row, at + 3] -= g1 * dz - g2 * dy
+                border[row, at + 4] -= g2 * dx - g0 * dz
+                border[row, at + 5] -= g0 * dy - g1 * dx

@@ -14,8 +14,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.block.kernels.elimination import eliminate_border, eliminate_cameras, eliminate_photos
-from stereomate.block.kernels.projection import observe
-from stereomate.block.kernels.small import invert_symmetric, symmetric_vector
+from stereomate.block.kernels.projection import (
+    by_entries,
+    by_unknowns,
+    lens_of,
+    observe,
+    observe_general,
+)
+from stereomate.block.kernels.small import (
+    NO_SIX,
+    Six,
+    Three,
+    invert_symmetric,
+    nine_of,
+    set_six,
+    symmetric_vector,
+    three_of,
+)
+from stereomate.camera.kernels.layout import BROWN
 from stereomate.jit import inline_kernel, kernel
 
 Array = NDArray[np.float64]
@@ -75,7 +91,7 @@ def build(
 
     Observations are sorted by point (`start`) and within a point by ``place[photo]``. `weight` (m, 2): 0
     takes an observation out. Cameras: unknowns of camera c are border rows ``first[c]`` to ``first[c]
-    + free[c]``, `entries` (c, k, 2) and `derivatives` (c, k) as `projection.pixel_of` needs them; those that
+    + free[c]``, `entries` (c, k, 2) and `derivatives` (c, k) as `projection.observe` needs them; those that
     see point j are ``camera_of[camera_start[j] : camera_start[j + 1]]``. `control` (p) is the row
     of a point in `control_xyz` (k, 3), `control_weight` (k, 3, 3) and `control_free` (k, 3; 0 for what is
     held), or -1. `width`: of Huber's loss, infinite for none.
@@ -94,10 +110,10 @@ def build(
     for j in range(start.shape[0] - 1):
         longest = max(longest, start[j + 1] - start[j])
     columns = by_border.shape[1]
-    by_point, by_camera = np.empty((2, 3)), np.empty((2, columns))
-    scratch = np.zeros((2, packed.shape[1]))
+    by_camera, scratch = np.empty((1, 2, columns)), np.zeros((3, packed.shape[1]))
     # Camera unknowns with the point, of each observation, and of each camera times V⁻¹.
     single, solved = np.empty((longest, columns, 3)), np.empty((free.shape[0], columns, 3))
+    p, flat = packed.reshape(packed.size), band.reshape(band.size)
     v, b = np.empty(6), np.empty(3)
     cost = promised = 0.0
     failed = undetermined = 0
@@ -105,123 +121,124 @@ def build(
         v[:] = 0.0
         b[:] = 0.0
         low, high = camera_start[j], camera_start[j + 1]
-        by_border[low:high] = 0.0
-        k_control = control[j]
+        for t in range(low, high):
+            for f in range(columns):
+                by_border[t, f, 0] = by_border[t, f, 1] = by_border[t, f, 2] = 0.0
+        point = three_of(points, j)
+        row = control[j]
         used = 0
         for i in range(start[j], start[j + 1]):
-            information[i] = 0.0
+            set_six(information, i, NO_SIX)
             wx, wy = weight[i, 0], weight[i, 1]
             if wx == 0.0 and wy == 0.0:
                 continue
             k = photo[i]
             c = camera[k]
-            column, line, ok = observe(
-                model[c], packed[c], centres[k], rotations[k], points[j], free[c], entries[c],
-                derivatives[c], by_point, by_camera, scratch,
-            )  # fmt: skip
+            centre = three_of(centres, k)
+            lens = lens_of(p, c)
+            if model[c] <= BROWN:
+                observed, inner = observe(model[c], lens, centre, nine_of(rotations, k), point)
+                if free[c] > 0:
+                    by_entries(lens, inner, scratch)
+            else:
+                observed = observe_general(model[c], p, c, centre, nine_of(rotations, k), point, scratch)
+            column, line, ok, ax, ay = observed
             if not ok:
                 failed += 1
                 continue
             used += 1
             rx, ry = xy[i, 0] - column, xy[i, 1] - line
             factor, loss = loss_factor(wx * rx * rx + wy * ry * ry, width)
+            wx, wy = wx * factor, wy * factor
             cost += loss
-            _about_point(by_point, wx * factor, wy * factor, rx, ry, information[i], v, b)
-            dx, dy, dz = (
-                points[j, 0] - centres[k, 0],
-                points[j, 1] - centres[k, 1],
-                points[j, 2] - centres[k, 2],
-            )
-            _to_photo(by_point, wx * factor, wy * factor, rx, ry, dx, dy, dz, 6 * place[k], right)
+            g = _about_point(ax, ay, wx, wy, rx, ry, i, information, v, b)
+            _to_photo(g, point, centre, 6 * place[k], right)
             if free[c] > 0:
+                by_unknowns(c, free[c], entries, derivatives, scratch, 0, by_camera)
                 at = low
                 while camera_of[at] != c:
                     at += 1
                 _to_camera(
-                    by_point, by_camera, wx * factor, wy * factor, rx, ry, first[c], free[c], corner,
-                    right_border, diagonal_border, single[i - start[j]], by_border[at],
+                    ax, ay, by_camera, wx, wy, rx, ry, first[c], free[c], corner, right_border,
+                    diagonal_border, single, i - start[j], by_border, at,
                 )  # fmt: skip
-        if k_control >= 0:
-            cost += _to_control(
-                control_xyz[k_control], control_weight[k_control], control_free[k_control], points[j], v, b
-            )
-        for a in (0, 3, 5):
-            v[a] *= 1.0 + damping
-        solvable[j] = (used > 0 or k_control >= 0) and invert_symmetric(
-            v[0], v[1], v[2], v[3], v[4], v[5], v_inverse[j]
-        )
+        if row >= 0:
+            cost += _to_control(row, control_xyz, control_weight, control_free, point, v, b)
+        for x in (0, 3, 5):
+            v[x] *= 1.0 + damping
+        ok, w = invert_symmetric(v[0], v[1], v[2], v[3], v[4], v[5])
+        solvable[j] = ok and (used > 0 or row >= 0)
         if not solvable[j]:
-            v_inverse[j] = 0.0
+            w = NO_SIX
             undetermined += 1
-        elif k_control >= 0:
-            _hold(control_free[k_control], v_inverse[j])
-        v_right[j] = b
-        y0, y1, y2 = symmetric_vector(v_inverse[j], b[0], b[1], b[2])
-        promised += b[0] * y0 + b[1] * y1 + b[2] * y2
-        eliminate_cameras(
-            v_inverse[j], y0, y1, y2, camera_of[low:high], first, free, by_border[low:high], solved, corner,
-            right_border,
-        )  # fmt: skip
+        elif row >= 0:
+            w = _held(row, control_free, w)
+        y = symmetric_vector(w, b[0], b[1], b[2])
+        promised += b[0] * y[0] + b[1] * y[1] + b[2] * y[2]
+        set_six(v_inverse, j, w)
+        v_right[j, 0], v_right[j, 1], v_right[j, 2] = b[0], b[1], b[2]
+        eliminate_cameras(w, y, low, high, camera_of, first, free, by_border, solved, corner, right_border)
         eliminate_photos(
-            start[j], start[j + 1], photo, points[j], centres, place, camera, v_inverse[j], y0, y1, y2,
-            information, skew, band, right, diagonal,
+            start[j], start[j + 1], photo, point, centres, place, w, y, information,
+            band.shape[1] - skew, flat, right, diagonal,
         )  # fmt: skip
         if columns > 0:
             eliminate_border(
-                start[j], start[j + 1], photo, points[j], centres, place, camera, camera_of[low:high], first,
+                start[j], start[j + 1], photo, point, centres, place, camera, low, high, camera_of, first,
                 free, information, single, solved, border,
             )  # fmt: skip
     return cost, promised, failed, undetermined
 
 
 @inline_kernel
-def _about_point(a: Array, wx: float, wy: float, rx: float, ry: float, n: Array, v: Array, b: Array) -> None:
-    """Information of an observation about its point into `n`, and added to `v` and `b`."""
-    x0, x1, x2, y0, y1, y2 = a[0, 0], a[0, 1], a[0, 2], a[1, 0], a[1, 1], a[1, 2]
-    px0, px1, px2, py0, py1, py2 = wx * x0, wx * x1, wx * x2, wy * y0, wy * y1, wy * y2
-    n0, n1, n2 = px0 * x0 + py0 * y0, px0 * x1 + py0 * y1, px0 * x2 + py0 * y2
-    n3, n4, n5 = px1 * x1 + py1 * y1, px1 * x2 + py1 * y2, px2 * x2 + py2 * y2
-    n[0], n[1], n[2], n[3], n[4], n[5] = n0, n1, n2, n3, n4, n5
-    v[0] += n0
-    v[1] += n1
-    v[2] += n2
-    v[3] += n3
-    v[4] += n4
-    v[5] += n5
-    b[0] += px0 * rx + py0 * ry
-    b[1] += px1 * rx + py1 * ry
-    b[2] += px2 * rx + py2 * ry
-
-
-@inline_kernel
-def _to_photo(
-    a: Array,
+def _about_point(
+    x: Three,
+    y: Three,
     wx: float,
     wy: float,
     rx: float,
     ry: float,
-    dx: float,
-    dy: float,
-    dz: float,
-    at: int,
-    right: Array,
-) -> None:
-    """Right side of the photograph: ``Tᵀ Aᵀ P r``."""
-    rx, ry = wx * rx, wy * ry
-    g0 = a[0, 0] * rx + a[1, 0] * ry
-    g1 = a[0, 1] * rx + a[1, 1] * ry
-    g2 = a[0, 2] * rx + a[1, 2] * ry
-    right[at] -= g0
-    right[at + 1] -= g1
-    right[at + 2] -= g2
-    right[at + 3] += g1 * dz - g2 * dy
-    right[at + 4] += g2 * dx - g0 * dz
-    right[at + 5] += g0 * dy - g1 * dx
+    i: int,
+    information: Array,
+    v: Array,
+    b: Array,
+) -> Three:
+    """Information of observation `i` about its point, added to `v` and `b` too; returns ``Aᵀ P r``."""
+    px0, px1, px2, py0, py1, py2 = wx * x[0], wx * x[1], wx * x[2], wy * y[0], wy * y[1], wy * y[2]
+    n = (
+        px0 * x[0] + py0 * y[0], px0 * x[1] + py0 * y[1], px0 * x[2] + py0 * y[2],
+        px1 * x[1] + py1 * y[1], px1 * x[2] + py1 * y[2], px2 * x[2] + py2 * y[2],
+    )  # fmt: skip
+    set_six(information, i, n)
+    v[0] += n[0]
+    v[1] += n[1]
+    v[2] += n[2]
+    v[3] += n[3]
+    v[4] += n[4]
+    v[5] += n[5]
+    g = px0 * rx + py0 * ry, px1 * rx + py1 * ry, px2 * rx + py2 * ry
+    b[0] += g[0]
+    b[1] += g[1]
+    b[2] += g[2]
+    return g
+
+
+@inline_kernel
+def _to_photo(g: Three, point: Three, centre: Three, at: int, right: Array) -> None:
+    """Right side of the photograph: ``Tᵀ g``, g = ``Aᵀ P r``."""
+    dx, dy, dz = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
+    right[at] -= g[0]
+    right[at + 1] -= g[1]
+    right[at + 2] -= g[2]
+    right[at + 3] += g[1] * dz - g[2] * dy
+    right[at + 4] += g[2] * dx - g[0] * dz
+    right[at + 5] += g[0] * dy - g[1] * dx
 
 
 @inline_kernel
 def _to_camera(
-    a: Array,
+    ax: Three,
+    ay: Three,
     by_camera: Array,
     wx: float,
     wy: float,
@@ -233,47 +250,47 @@ def _to_camera(
     right_border: Array,
     diagonal_border: Array,
     single: Array,
+    ray: int,
     total: Array,
+    at: int,
 ) -> None:
-    """Camera unknowns with themselves, and with the point: into `single` and added to `total`."""
+    """Camera unknowns with themselves, and with the point: into `single` [ray] and added to `total` [at]."""
     for f in range(free):
-        jx, jy = wx * by_camera[0, f], wy * by_camera[1, f]
+        jx, jy = wx * by_camera[0, 0, f], wy * by_camera[0, 1, f]
         right_border[first + f] += jx * rx + jy * ry
-        diagonal_border[first + f] += jx * by_camera[0, f] + jy * by_camera[1, f]
+        diagonal_border[first + f] += jx * by_camera[0, 0, f] + jy * by_camera[0, 1, f]
         for g in range(f + 1):
-            corner[first + f, first + g] += jx * by_camera[0, g] + jy * by_camera[1, g]
-        for x in range(3):
-            value = jx * a[0, x] + jy * a[1, x]
-            single[f, x] = value
-            total[f, x] += value
+            corner[first + f, first + g] += jx * by_camera[0, 0, g] + jy * by_camera[0, 1, g]
+        s0, s1, s2 = jx * ax[0] + jy * ay[0], jx * ax[1] + jy * ay[1], jx * ax[2] + jy * ay[2]
+        single[ray, f, 0], single[ray, f, 1], single[ray, f, 2] = s0, s1, s2
+        total[at, f, 0] += s0
+        total[at, f, 1] += s1
+        total[at, f, 2] += s2
 
 
 @inline_kernel
-def _to_control(xyz: Array, weight: Array, free: Array, point: Array, v: Array, b: Array) -> float:
+def _to_control(row: int, xyz: Array, weight: Array, free: Array, point: Three, v: Array, b: Array) -> float:
     """Add a control point to the information about its point; its cost. Held axes stand alone."""
     cost = 0.0
     at = 0
     for a in range(3):
         for d in range(3):
-            g = weight[a, d] * free[a] * free[d]
-            difference = xyz[d] - point[d]
+            g = weight[row, a, d] * free[row, a] * free[row, d]
+            difference = xyz[row, d] - point[d]
             b[a] += g * difference
-            cost += g * difference * (xyz[a] - point[a])
+            cost += g * difference * (xyz[row, a] - point[a])
             if d >= a:
-                v[at] = v[at] * free[a] * free[d] + g
-                if d == a and free[a] == 0.0:
+                v[at] = v[at] * free[row, a] * free[row, d] + g
+                if d == a and free[row, a] == 0.0:
                     v[at] = 1.0
                 at += 1
     for a in range(3):
-        b[a] *= free[a]
+        b[a] *= free[row, a]
     return cost
 
 
 @inline_kernel
-def _hold(free: Array, v_inverse: Array) -> None:
-    """Nothing moves along axes that control holds."""
-    at = 0
-    for a in range(3):
-        for d in range(a, 3):
-            v_inverse[at] *= free[a] * free[d]
-            at += 1
+def _held(row: int, free: Array, w: Six) -> Six:
+    """V⁻¹ where nothing moves along axes that control holds."""
+    x, y, z = free[row, 0], free[row, 1], free[row, 2]
+    return w[0] * x * x, w[1] * x * y, w[2] * x * z, w[3] * y * y, w[4] * y * z, w[5] * z * z

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stereomate.block.kernels.small import symmetric_vector
+from stereomate.block.kernels.small import seen_at, six_of, symmetric_vector, three_of
 from stereomate.jit import kernel
 
 Array = NDArray[np.float64]
@@ -56,17 +56,14 @@ def correct_points(
     `step` (n, 6) in the order of the photographs, `step_border` (q,).
     """
     for j in range(start.shape[0] - 1):
-        b0, b1, b2 = v_right[j, 0], v_right[j, 1], v_right[j, 2]
+        point = three_of(points, j)
+        b0, b1, b2 = three_of(v_right, j)
         for i in range(start[j], start[j + 1]):
             k = photo[i]
-            dx, dy, dz = (
-                points[j, 0] - centres[k, 0],
-                points[j, 1] - centres[k, 1],
-                points[j, 2] - centres[k, 2],
-            )
+            dx, dy, dz = seen_at(point, centres, k)
             tx, ty, tz = step[k, 3], step[k, 4], step[k, 5]
             e0, e1, e2 = symmetric_vector(
-                information[i],
+                six_of(information, i),
                 dy * tz - dz * ty - step[k, 0],
                 dz * tx - dx * tz - step[k, 1],
                 dx * ty - dy * tx - step[k, 2],
@@ -79,7 +76,7 @@ def correct_points(
                 b0 -= by_border[t, f, 0] * moved
                 b1 -= by_border[t, f, 1] * moved
                 b2 -= by_border[t, f, 2] * moved
-        out[j, 0], out[j, 1], out[j, 2] = symmetric_vector(v_inverse[j], b0, b1, b2)
+        out[j, 0], out[j, 1], out[j, 2] = symmetric_vector(six_of(v_inverse, j), b0, b1, b2)
 
 
 @kernel
@@ -101,16 +98,13 @@ def photos_from_points(
 ) -> None:
     """Subtract ``W values`` (p, 3): from `out` (6 n,) in the order of the matrix and `out_shared` (q,)."""
     for j in range(start.shape[0] - 1):
-        x, y, z = values[j, 0], values[j, 1], values[j, 2]
+        point = three_of(points, j)
+        x, y, z = three_of(values, j)
         for i in range(start[j], start[j + 1]):
             k = photo[i]
             at = 6 * place[k]
-            dx, dy, dz = (
-                points[j, 0] - centres[k, 0],
-                points[j, 1] - centres[k, 1],
-                points[j, 2] - centres[k, 2],
-            )
-            g0, g1, g2 = symmetric_vector(information[i], x, y, z)
+            dx, dy, dz = seen_at(point, centres, k)
+            g0, g1, g2 = symmetric_vector(six_of(information, i), x, y, z)
             out[at] += g0
             out[at + 1] += g1
             out[at + 2] += g2

@@ -4,6 +4,9 @@ An observation of a point at d = X - X0 moves with ``dX + m``, ``m = -dX0 + d x 
 K = [d]x. With N = Aᵀ P A the information of the observation about its point (A: pixel by point, P: weights),
 everything it adds to the normal equations is N seen through T: Tᵀ N T, Tᵀ N, N.
 Symmetric matrices are six numbers: xx xy xz yy yz zz.
+
+Matrices and vectors travel as numbers, not as rows of arrays: a view of a row counts references, which costs
+more than the arithmetic on it.
 """
 
 from __future__ import annotations
@@ -20,28 +23,58 @@ Nine = tuple[float, float, float, float, float, float, float, float, float]
 Six = tuple[float, float, float, float, float, float]
 Three = tuple[float, float, float]
 
+NO_SIX = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
 
 @inline_kernel
-def invert_symmetric(a: float, b: float, c: float, d: float, e: float, f: float, out: Array) -> bool:
-    """Inverse of a symmetric positive definite 3x3 matrix into `out` (6); False (and zeros) if singular."""
+def three_of(a: Array, i: int) -> Three:
+    """Row of an array (n, 3)."""
+    return a[i, 0], a[i, 1], a[i, 2]
+
+
+@inline_kernel
+def six_of(a: Array, i: int) -> Six:
+    """Row of an array (n, 6)."""
+    return a[i, 0], a[i, 1], a[i, 2], a[i, 3], a[i, 4], a[i, 5]
+
+
+@inline_kernel
+def set_six(a: Array, i: int, n: Six) -> None:
+    """Write a row of an array (n, 6)."""
+    a[i, 0], a[i, 1], a[i, 2], a[i, 3], a[i, 4], a[i, 5] = n
+
+
+@inline_kernel
+def nine_of(a: Array, i: int) -> Nine:
+    """Matrix of an array (n, 3, 3), row by row."""
+    return (
+        a[i, 0, 0], a[i, 0, 1], a[i, 0, 2],
+        a[i, 1, 0], a[i, 1, 1], a[i, 1, 2],
+        a[i, 2, 0], a[i, 2, 1], a[i, 2, 2],
+    )  # fmt: skip
+
+
+@inline_kernel
+def invert_symmetric(a: float, b: float, c: float, d: float, e: float, f: float) -> tuple[bool, Six]:
+    """Whether a symmetric 3x3 matrix is positive definite, and its inverse (zeros if it is not)."""
     # Scaled to a unit diagonal, so that the threshold does not depend on units.
-    out[:] = 0.0
     if not (a > 0.0 and d > 0.0 and f > 0.0):
-        return False
+        return False, NO_SIX
     sa, sd, sf = 1.0 / math.sqrt(a), 1.0 / math.sqrt(d), 1.0 / math.sqrt(f)
     b, c, e = b * sa * sd, c * sa * sf, e * sd * sf
     m00, m01, m02 = 1.0 - e * e, c * e - b, b * e - c
     determinant = m00 + b * m01 + c * m02
     if not determinant > 1e-14:
-        return False
+        return False, NO_SIX
     w = 1.0 / determinant
-    out[0], out[3], out[5] = m00 * w * sa * sa, (1.0 - c * c) * w * sd * sd, (1.0 - b * b) * w * sf * sf
-    out[1], out[2], out[4] = m01 * w * sa * sd, m02 * w * sa * sf, (b * c - e) * w * sd * sf
-    return True
+    return True, (
+        m00 * w * sa * sa, m01 * w * sa * sd, m02 * w * sa * sf,
+        (1.0 - c * c) * w * sd * sd, (b * c - e) * w * sd * sf, (1.0 - b * b) * w * sf * sf,
+    )  # fmt: skip
 
 
 @inline_kernel
-def times_symmetric(n: Array, m: Array) -> Nine:
+def times_symmetric(n: Six, m: Six) -> Nine:
     """``N M`` of two symmetric matrices, row by row."""
     return (
         n[0] * m[0] + n[1] * m[1] + n[2] * m[2],
@@ -57,7 +90,7 @@ def times_symmetric(n: Array, m: Array) -> Nine:
 
 
 @inline_kernel
-def symmetric_vector(n: Array, x: float, y: float, z: float) -> Three:
+def symmetric_vector(n: Six, x: float, y: float, z: float) -> Three:
     """``N x`` of a symmetric matrix."""
     return (
         n[0] * x + n[1] * y + n[2] * z,
@@ -87,7 +120,7 @@ def columns_cross(c: Nine, x: float, y: float, z: float) -> Nine:
 
 
 @inline_kernel
-def general_symmetric(u: Nine, n: Array) -> Nine:
+def general_symmetric(u: Nine, n: Six) -> Nine:
     """``U N`` of a general and a symmetric matrix."""
     return (
         u[0] * n[0] + u[1] * n[1] + u[2] * n[2],
@@ -103,6 +136,6 @@ def general_symmetric(u: Nine, n: Array) -> Nine:
 
 
 @inline_kernel
-def seen_at(point: Array, centre: Array) -> Three:
+def seen_at(point: Three, centres: Array, k: int) -> Three:
     """d = X - X0."""
-    return point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
+    return point[0] - centres[k, 0], point[1] - centres[k, 1], point[2] - centres[k, 2]
