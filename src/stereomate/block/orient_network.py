@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -21,8 +21,8 @@ from stereomate.block.network import (
     Positions,
 )
 from stereomate.block.start import KnownPoints
-from stereomate.camera.distortion import BrownDistortion, NoDistortion
-from stereomate.camera.model import Camera
+from stereomate.camera.distortion import BrownDistortion, EbnerDeformation, NoDistortion
+from stereomate.camera.model import EBNER_NAMES, Camera
 from stereomate.geometry.intersection import Rays, intersect_rays
 from stereomate.measurement.tracks import TiePoints
 
@@ -42,6 +42,15 @@ _PRIORS: Final = {
     "p2": 0.01,
     "b1": 0.003,
     "b2": 0.003,
+    **dict.fromkeys(("k5", "k6"), 0.2),
+    **dict.fromkeys(("s1", "s2", "s3", "s4", "taux", "tauy"), 0.01),
+    **dict.fromkeys(EBNER_NAMES, 0.05),  # mm: more than film is ever out of shape
+}
+_PARAMETERS: Final = {
+    "principal_distance": ("principal_distance_mm",),
+    "principal_point": ("principal_point_x_mm", "principal_point_y_mm"),
+    "point_of_symmetry": ("symmetry_x_mm", "symmetry_y_mm"),
+    "ebner": EBNER_NAMES,
 }
 NOMINAL: Final = ("principal_distance", "principal_point", "k1", "k2", "p1", "p2")
 
@@ -76,6 +85,8 @@ class BlockData:
         From the projection centre to the place that `positions` tell, camera axes.
     lever_arm_sigma_m : float
         0: it is right.
+    priors : mapping of str to mapping
+        Name of a camera -> parameter -> standard deviation of its prior, in the parameter's own unit.
     tie_names : tuple of str or None
         Of the tie points, by their numbers; None: t0, t1, ...
     """
@@ -95,6 +106,7 @@ class BlockData:
     tie_names: tuple[str, ...] | None = None
     lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     lever_arm_sigma_m: float = 0.0
+    priors: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def camera(self, photo: int) -> Camera:
         """Camera of a photograph."""
@@ -255,28 +267,55 @@ def _block_cameras(data: BlockData, with_datum: bool) -> tuple[BlockCamera, ...]
     result = []
     for camera in data.cameras:
         keys = data.calibrate.get(camera.name, ())
-        result.append(BlockCamera(calibratable(camera, keys), priors(camera, keys, with_datum)))
+        stated = data.priors.get(camera.name, {})
+        result.append(BlockCamera(calibratable(camera, keys), priors(camera, keys, with_datum, stated)))
     return tuple(result)
 
 
+def parameters_of(key: str) -> tuple[str, ...]:
+    """Names of the interior parameters that a key of the project file stands for."""
+    return _PARAMETERS.get(key, (key,))
+
+
 def calibratable(camera: Camera, keys: Sequence[str]) -> Camera:
-    """The camera with a distortion that has the coefficients asked for."""
-    if isinstance(camera.distortion, NoDistortion) and any(key in _PRIORS for key in keys):
-        return replace(camera, distortion=BrownDistortion())
+    """The camera with a distortion, and of film with a deformation, that has the coefficients asked for."""
+    names = {name for key in keys for name in parameters_of(key)}
+    if isinstance(camera.distortion, NoDistortion) and names & set(BrownDistortion.coefficient_names):
+        camera = replace(camera, distortion=BrownDistortion())
+    if camera.deformation is None and names & set(EBNER_NAMES):
+        (a, b, _), (d, e, _) = camera.pixel_from_photo
+        columns, rows = camera.size_px
+        whole = columns / math.hypot(a, b), rows / math.hypot(d, e)
+        camera = replace(camera, deformation=EbnerDeformation.of_format(camera.format_mm or whole))
     return camera
 
 
-def priors(camera: Camera, keys: Sequence[str], with_distance: bool = True) -> dict[str, float]:
-    """Names of unknown parameters with the standard deviation of their priors."""
+def priors(
+    camera: Camera,
+    keys: Sequence[str],
+    with_distance: bool = True,
+    stated: Mapping[str, float] | None = None,
+) -> dict[str, float]:
+    """Names of unknown parameters with the standard deviations of their priors: stated, or usual ones."""
     camera = calibratable(camera, keys)
-    c = camera.principal_distance_mm
     free: dict[str, float] = {}
     for key in keys:
-        if key == "principal_distance":
-            if with_distance:
-                free["principal_distance_mm"] = _PRINCIPAL_DISTANCE_SHARE * c
-        elif key == "principal_point":
-            free["principal_point_x_mm"] = free["principal_point_y_mm"] = _PRINCIPAL_POINT_SHARE * c
-        elif key in camera.parameter_names:
-            free[key] = _PRIORS[key]
-    return free
+        if key == "principal_distance" and not with_distance:
+            continue
+        for name in parameters_of(key):
+            if name in camera.parameter_names:
+                free[name] = _usual_prior(camera, name)
+    return free | {name: sigma for name, sigma in (stated or {}).items() if name in free}
+
+
+def _usual_prior(camera: Camera, name: str) -> float:
+    """How far cameras that nobody calibrated are from nominal."""
+    c = camera.principal_distance_mm
+    if name == "principal_distance_mm":
+        return _PRINCIPAL_DISTANCE_SHARE * c
+    if name not in _PRIORS:
+        return _PRINCIPAL_POINT_SHARE * c  # principal point, point of symmetry
+    distortion = camera.distortion
+    if isinstance(distortion, BrownDistortion) and distortion.units == "mm" and name[0] in "kp":
+        return _PRIORS[name] / c ** (2 * int(name[1]) if name[0] == "k" else 1)
+    return _PRIORS[name]

@@ -189,13 +189,17 @@ def cameras_table(record: Mapping[str, Any]) -> Table:
             number_text(value["value"], "{:.6g}"),
             number_text(value["standard_deviation"], "{:.2g}") if value["found"] else "held",
             number_text(value["prior"], "{:.2g}"),
+            number_text(value["t"], "{:.1f}") + ("" if value["significant"] is not False else " (no)"),
         )
         for camera in record["cameras"]
         for name, value in camera["parameters"].items()
         if value["found"] or value["value"] != 0.0 or name.startswith("principal")
     ]
-    headings = ("camera", "parameter", "value", "standard deviation", "standard deviation before")
-    return Table(headings, tuple(rows))
+    headings = (
+        "camera", "parameter", "value", "standard deviation", "standard deviation before", "t of its change",
+    )  # fmt: skip
+    words = "t: what the observations say of the change over its standard deviation; (no): not significant."
+    return Table(headings, tuple(rows), words)
 
 
 def orientation_facts(record: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -11,6 +11,7 @@ from pydantic import Field
 from stereomate.camera.distortion import (
     BrownDistortion,
     Distortion,
+    EbnerDeformation,
     FisheyeDistortion,
     NoDistortion,
     OpenCVDistortion,
@@ -74,6 +75,8 @@ def camera_from_section(section: CameraSection, path: Path, field: str) -> tuple
     except InputError as error:
         where = f"{field}.{(error.field or '').rsplit(' ', 1)[-1]}".rstrip(".")
         raise ProjectError(error.rule, file=path, field=where, value=error.value) from error
+    if section.ebner is not None:
+        camera = replace(camera, deformation=EbnerDeformation(**section.ebner.model_dump()))
     if section.principal_point_px is not None:
         x, y = camera.photo_from_image(section.principal_point_px)
         camera = replace(camera, principal_point_mm=(float(x), float(y)))

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from stereomate.block.adjustment import BlockAdjustment, adjust_block
 from stereomate.block.options import BlockOptions, TestOptions
-from stereomate.block.orient_network import NOMINAL, Assembled, BlockData, assemble
+from stereomate.block.orient_network import Assembled, BlockData, assemble
 from stereomate.block.start import KnownPoints
 from stereomate.block.variance import estimate_variance_components
 from stereomate.camera.model import Camera
 from stereomate.errors import NotDeterminedError
+from stereomate.project.orient_calibration import calibrated_camera, is_automatic, prior_sigmas
 from stereomate.project.orient_camera_doubts import HELD_FIRST, undetermined
 from stereomate.project.orient_heights import height_findings
 from stereomate.project.orient_inputs import OrientInputs
@@ -86,13 +87,11 @@ def adjust_measured(
         robust=inputs.file.orient.robust,
         tests=TestOptions(inputs.file.orient.significance, inputs.file.orient.power),
     )
-    automatic = inputs.file.orient.calibrate == "auto"
     data = _block_data(inputs, measured)
-    wanted = dict(data.calibrate)
-    if automatic:
-        data = data.with_calibration(
-            {n: tuple(k for k in keys if k in _RADIAL) for n, keys in wanted.items()}
-        )
+    wanted = {n: keys for n, keys in data.calibrate.items() if is_automatic(inputs, n)}
+    data = data.with_calibration(
+        {n: tuple(k for k in keys if n not in wanted or k in _RADIAL) for n, keys in data.calibrate.items()}
+    )
     tell = progress or (lambda done, total: None)
     tell(0, 3)
     assembled, result = adjust_assembled(data, at, options)
@@ -107,7 +106,7 @@ def adjust_measured(
         at = _moved(at, assembled, result)
         assembled, result = adjust_assembled(data, at, options)
     tell(2, 3)
-    if automatic and at.has_datum and any(wanted.values()):
+    if at.has_datum and any(wanted.values()):
         data, assembled, result = _more_parameters(data, wanted, at, options, (assembled, result), findings)
     assembled, result = without_undetermined(data, at, options, (assembled, result), left_out)
     if inputs.file.orient.variance_components:
@@ -236,12 +235,12 @@ def _more_parameters(
         if all(set(keys[n]) <= set(data.calibrate[n]) for n in keys):
             return data, assembled, result
         try:
-            trial = adjust_assembled(clean.with_calibration(keys), start, plain)
+            trial = adjust_assembled(clean.with_calibration({**data.calibrate, **keys}), start, plain)
             doubts = undetermined(data, keys, trial[1])
         except NotDeterminedError as error:
             doubts = {"principal_distance": str(error)}
         if not doubts:
-            released = data.with_calibration(keys)
+            released = data.with_calibration({**data.calibrate, **keys})
             final = adjust_assembled(released, start, options)
             return released, *final
         first = next(key for key in (*HELD_FIRST, *doubts) if key in doubts and key not in held)
@@ -303,8 +302,9 @@ def _block_data(inputs: OrientInputs, measured: Measured) -> BlockData:
     cameras: dict[str, Camera] = {}
     calibrate: dict[str, tuple[str, ...]] = {}
     for photo in inputs.photos:
-        cameras.setdefault(photo.camera.name, photo.camera)
-        calibrate[photo.camera.name] = _keys(inputs, photo.calibrated)
+        if photo.camera.name not in cameras:
+            camera, keys = calibrated_camera(inputs, photo)
+            cameras[camera.name], calibrate[camera.name] = camera, keys
     numbers = {name: k for k, name in enumerate(cameras)}
     control, check, sigma = None, None, None
     if inputs.control is not None:
@@ -333,13 +333,5 @@ def _block_data(inputs: OrientInputs, measured: Measured) -> BlockData:
         measured.tie_names,
         inputs.file.orient.lever_arm_m,
         inputs.file.orient.lever_arm_sigma_m,
+        {name: prior_sigmas(inputs, name) for name in cameras},
     )
-
-
-def _keys(inputs: OrientInputs, calibrated: bool) -> tuple[str, ...]:
-    wanted = inputs.file.orient.calibrate
-    if wanted == "none":
-        return ()
-    if wanted == "auto":
-        return () if calibrated else NOMINAL
-    return tuple(wanted)

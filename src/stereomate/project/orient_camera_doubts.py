@@ -33,7 +33,7 @@ def undetermined(
     statistics = result.statistics
     for k, camera in enumerate(data.cameras):
         free = result.network.cameras[k].free
-        for key in keys[camera.name]:
+        for key in keys.get(camera.name, ()):
             reason = ""
             for name in _NAMES.get(key, (key,)):
                 place = result.shared_names.index(f"{camera.name}: {name}")

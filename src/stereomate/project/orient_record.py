@@ -15,6 +15,7 @@ from stereomate.forms import ORIENTATION
 from stereomate.frames.attitude import AttitudeConvention, written_from_axes
 from stereomate.frames.transform import map_from_tangent
 from stereomate.project.orient_adjust import Adjusted
+from stereomate.project.orient_camera_record import calibration_findings, camera_records
 from stereomate.project.orient_compare import comparisons, findings_of
 from stereomate.project.orient_control_record import control_record, number, numbers
 from stereomate.project.orient_expected import expected_accuracy, expected_finding
@@ -73,6 +74,7 @@ def adjustment_record(
 ) -> dict[str, Any]:
     """Everything of `adjustment.json`; no times, so that a run repeated gives the same bytes."""
     result = adjusted.result
+    cameras = camera_records(result, inputs.file.orient.significance)
     expected = expected_accuracy(measured, adjusted)
     comparison, control = comparisons(inputs, adjusted), control_record(inputs, adjusted)
     x, y = result.rms_px
@@ -106,6 +108,7 @@ def adjustment_record(
             *_height_findings(inputs, adjusted),
             *_turned(inputs, adjusted),
             *adjusted.findings,
+            *calibration_findings(cameras, result),
             *expected_finding(expected),
         ],
         "measurement": {
@@ -114,7 +117,7 @@ def adjustment_record(
             "chosen": measured.selection,
             **measured.counts,
         },
-        "cameras": _cameras(adjusted),
+        "cameras": cameras,
         "photographs": _photographs(adjusted, photos, rays),
         "not_oriented": _not_oriented(inputs, measured, adjusted),
         "positions": _positions(inputs, adjusted),
@@ -220,29 +223,6 @@ def _turned(inputs: OrientInputs, adjusted: Adjusted) -> list[str]:
         )
         for angle, names in sorted(found.items())
     ]
-
-
-def _cameras(adjusted: Adjusted) -> list[dict[str, Any]]:
-    result = adjusted.result
-    sigma = (
-        result.statistics.shared_sigma
-        if result.statistics is not None
-        else np.full(len(result.shared), math.nan)
-    )
-    place = {name: k for k, name in enumerate(result.shared_names)}
-    cameras = []
-    for entry, camera in zip(result.network.cameras, result.cameras, strict=True):
-        parameters = {}
-        for name, value in zip(camera.parameter_names, camera.parameters, strict=True):
-            k = place.get(f"{camera.name}: {name}")
-            parameters[name] = {
-                "value": number(value),
-                "standard_deviation": None if k is None else number(sigma[k]),
-                "prior": number(entry.free.get(name, math.nan)),
-                "found": k is not None,
-            }
-        cameras.append({"name": camera.name, "size_px": list(camera.size_px), "parameters": parameters})
-    return cameras
 
 
 def _photographs(adjusted: Adjusted, photos: OrientedPhotos, rays: NDArray[np.int64]) -> list[dict[str, Any]]:

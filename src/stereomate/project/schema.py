@@ -14,9 +14,11 @@ from stereomate.forms import PROJECT
 from stereomate.project.schema_camera import (
     ALL_COEFFICIENTS,
     COEFFICIENTS,
+    Calibrated,
     CameraSection,
     DistortionSection,
     Finite,
+    Parameter,
     Positive,
     Section,
     exactly_one,
@@ -39,8 +41,6 @@ Bands = Annotated[tuple[int, ...], Field(strict=False)]
 Pair = Annotated[tuple[str, str], Field(strict=False)]
 Pairs = Annotated[tuple[Pair, ...], Field(strict=False)]
 Sigmas = Annotated[tuple[Positive, Positive, Positive], Field(strict=False)]
-Parameter = Literal["principal_distance", "principal_point", "k1", "k2", "k3", "k4", "p1", "p2", "b1", "b2"]
-Calibrated = Annotated[tuple[Parameter, ...], Field(strict=False)]
 
 AnglesAxes = Literal["grid", "local", "tangent", "rph"]
 AngleOrder = Literal["omega-phi-kappa", "phi-omega-kappa"]
@@ -165,6 +165,7 @@ class OrientSection(Section):
     lever_arm_m: Three = (0.0, 0.0, 0.0)
     lever_arm_sigma_m: Annotated[float, Field(ge=0)] = 0.0
     calibrate: Literal["auto", "none"] | Calibrated = "auto"
+    priors: dict[Parameter, Positive] = Field(default_factory=dict)
     tie_points: str | None = None
     features: Annotated[int, Field(ge=200, le=100_000)] = 6000
     largest_side_px: Annotated[int, Field(ge=400)] = 2200

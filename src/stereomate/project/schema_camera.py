@@ -11,6 +11,14 @@ Size = Annotated[tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
+Parameter = Literal[
+    "principal_distance", "principal_point", "point_of_symmetry",
+    "k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "b1", "b2", "s1", "s2", "s3", "s4", "taux", "tauy",
+    "ebner", "ebner_b1", "ebner_b2", "ebner_b3", "ebner_b4", "ebner_b5", "ebner_b6",
+    "ebner_b7", "ebner_b8", "ebner_b9", "ebner_b10", "ebner_b11", "ebner_b12",
+]  # fmt: skip
+Calibrated = Annotated[tuple[Parameter, ...], Field(strict=False)]
+
 
 class Section(BaseModel):
     """A table of the project file: frozen, strict types, unknown keys refused."""
@@ -63,6 +71,24 @@ COEFFICIENTS: Final[dict[str, tuple[str, ...]]] = {
     "fisheye": ("k1", "k2", "k3", "k4"),
 }
 ALL_COEFFICIENTS: Final = frozenset(name for names in COEFFICIENTS.values() for name in names)
+
+
+class EbnerSection(Section):
+    """``ebner = { ... }`` of a camera: deformation of the film, millimetres; what is not given is zero."""
+
+    spacing_mm: Positive
+    b1: Finite = 0.0
+    b2: Finite = 0.0
+    b3: Finite = 0.0
+    b4: Finite = 0.0
+    b5: Finite = 0.0
+    b6: Finite = 0.0
+    b7: Finite = 0.0
+    b8: Finite = 0.0
+    b9: Finite = 0.0
+    b10: Finite = 0.0
+    b11: Finite = 0.0
+    b12: Finite = 0.0
 
 
 class MarkSection(Section):
@@ -127,7 +153,10 @@ class CameraSection(Section):
     rotation: Literal[0, 90, 180, 270] = 0
     mirrored: bool = False
     distortion: DistortionSection | None = None
+    ebner: EbnerSection | None = None
     fiducials: FiducialsSection | None = None
+    calibrate: Literal["auto", "none"] | Calibrated | None = None
+    priors: dict[Parameter, Positive] = {}
 
     @model_validator(mode="after")
     def _film_is_in_millimetres(self) -> CameraSection:
@@ -135,6 +164,12 @@ class CameraSection(Section):
             self.principal_distance_mm is None or self.principal_point_px is not None
         ):
             raise ValueError("principal distance and point of film must be given in mm, as certificates do")
+        return self
+
+    @model_validator(mode="after")
+    def _film_is_behind_a_lens_that_has_no_other_model(self) -> CameraSection:
+        if self.ebner is not None and self.distortion is not None and self.distortion.model != "brown":
+            raise ValueError(f"ebner goes with the brown model or none, not with {self.distortion.model}")
         return self
 
     @model_validator(mode="after")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from typing import Any
@@ -39,6 +40,8 @@ def camera_section(camera: Camera) -> dict[str, Any]:
     distortion = _distortion_section(camera)
     if distortion:
         section["distortion"] = distortion
+    if camera.deformation is not None:
+        section["ebner"] = dataclasses.asdict(camera.deformation)
     return section
 
 
