@@ -564,3 +564,16 @@ def test_wrong_input_is_named():
         replace(block.network, cameras=block.network.cameras * 2)
     with pytest.raises(InputError, match=r"tests\.alpha"):
         TestOptions(alpha=0.0)
+
+
+def test_weak_datum_converges():
+    """Tilts that positions of 10 m hardly hold: steps are long, and their path bends."""
+    lens = {"k1": 0.2, "k2": 0.2}
+    block = make_block(columns=3, rows=2, per_photo=60, seed=4, sigma=0.3, gnss=10.0, free=lens)
+    result = adjust_block(block.network, BlockOptions(statistics=False))
+    assert result.converged
+    # One and the same minimum from elsewhere: the truth.
+    known = block.network.moved_to(block.centres, block.rotations, block.points)
+    again = adjust_block(known, BlockOptions(statistics=False))
+    assert again.converged
+    assert again.solution.cost == pytest.approx(result.solution.cost, rel=1e-9)

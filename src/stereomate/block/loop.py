@@ -16,6 +16,7 @@ from stereomate.block.datum import Defect, find_defect, held, onto_start
 from stereomate.block.equations import (
     Equations,
     Factored,
+    Step,
     build,
     camera_arrays,
     factor,
@@ -27,7 +28,8 @@ from stereomate.block.network import Network
 from stereomate.block.open_datum import open_datum
 from stereomate.block.options import BlockOptions
 from stereomate.block.prepared import Prepared, fixed_axes_applied, prepare
-from stereomate.block.unknowns import State, moved, start_of
+from stereomate.block.steps import longer, moved_by, shorter
+from stereomate.block.unknowns import State, start_of
 from stereomate.errors import InputError, NotDeterminedError
 from stereomate.tiles.threads import limit_library_threads
 
@@ -38,6 +40,9 @@ Progress = Callable[[int, float], None]
 _FIRST_DAMPING: Final = 1e-4
 _LARGEST_DAMPING: Final = 1e8
 _SINGULAR_DAMPING: Final = 1e-2
+# A step that is too long is made shorter before it is damped: damping holds what the block hardly
+# determines (its tilt by poor positions, a bend) far more than a curved path asks for.
+_LEAST_SHARE: Final = 0.02
 # Steps that promise less than this part of the one before shrink fast: the next one is foreseen.
 _FAST: Final = 0.01
 # Coordinates that were corrected for distortion may lie as much of the larger side beyond the edge.
@@ -271,12 +276,22 @@ class _Loop:
     def run(self) -> None:
         """Iterate to the end; what could not be reached is noted."""
         previous: State | None = None
+        step: Step | None = None
+        before: Step | None = None
         last_promised = math.inf
+        share = 1.0
         stuck = was_singular = False
         while self.iterations < self.options.max_iterations:
             equations = self._built()
             worse = not equations.cost < self.cost or equations.failed > 0 or self._lost(equations)
-            if previous is not None and worse and not self._is_rounding(last_promised):
+            if previous is not None and worse and not self._is_rounding(equations, last_promised):
+                before = None
+                if step is not None and self.damping == 0.0 and share > _LEAST_SHARE:
+                    share *= shorter(step.promised, equations.cost - self.cost, share)
+                    self.state = moved_by(self.prepared, previous, step, share)
+                    self.damped += 1
+                    self.iterations += 1
+                    continue
                 self.state = previous
                 self.damping = max(10.0 * self.damping, _FIRST_DAMPING)
                 if self.damping > _LARGEST_DAMPING:
@@ -303,8 +318,10 @@ class _Loop:
                 factored = factor(self.prepared, equations)
             step = solve(self.prepared, equations, factored, self.state)
             is_end = self._is_end(step.promised, last_promised)
+            share = longer(before, step) if self.damping == 0.0 and not is_end else 1.0
+            before = step if share == 1.0 else None
             previous, last_promised = self.state, step.promised
-            self.state = moved(self.state, self.prepared.layout, step.photos, step.points, step.shared)
+            self.state = moved_by(self.prepared, previous, step, share)
             if is_end:
                 self.converged = True
                 # The step that is left is next to nothing: what follows from the equations holds at its end.
@@ -331,9 +348,9 @@ class _Loop:
         fast = math.isinf(self.width) and promised < _FAST * before < math.inf
         return fast and promised * (promised / before) <= 1e-3 * enough
 
-    def _is_rounding(self, promised: float) -> bool:
+    def _is_rounding(self, equations: Equations, promised: float) -> bool:
         """Whether a cost that did not fall is one of rounding: the step promised next to nothing."""
-        return promised <= 1e-9 * self.cost
+        return promised <= 1e-9 * self.cost and equations.cost - self.cost <= 1e-12 * self.cost
 
     def _built(self) -> Equations:
         equations = build(self.prepared, self.state, self.start, self.width, self.damping, self.workspace)
