@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stereomate.camera.model import Camera
@@ -39,11 +39,18 @@ class Candidate:
 def planned_candidates(
     file: ProjectFile, path: Path, written: WrittenOrientations, cameras: Mapping[str, Camera]
 ) -> list[Candidate]:
-    """Every row of the orientation table as a photograph that is not taken yet."""
-    rows = enumerate(written.names)
-    return [
-        Candidate(k, Path(name), None, _camera_of(k, file, path, written, cameras, None)) for k, name in rows
-    ]
+    """Every row of the orientation table as a photograph that is not taken yet, or not at hand."""
+    films = film_cameras(file, path)
+    candidates = []
+    for k, name in enumerate(written.names):
+        camera = _camera_of(k, file, path, written, cameras, None)
+        film = films.get(camera.name)
+        if film is not None and Path(name).stem in film.measured:
+            camera = film.camera_of(camera, Path(name), camera.size_px)
+        elif film is not None:
+            camera = replace(camera, format_mm=film.section.format_mm)
+        candidates.append(Candidate(k, Path(name), None, camera))
+    return candidates
 
 
 def find_candidates(

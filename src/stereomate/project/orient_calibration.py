@@ -26,10 +26,10 @@ def calibrated_camera(inputs: OrientInputs, photo: RawPhoto) -> tuple[Camera, tu
         If the camera's model has no room for it.
     """
     camera, keys = photo.camera, _keys(inputs, photo)
-    if camera.deformation is None and _TWELVE & set(keys) and photo.format_mm is not None:
-        # The grid is that of the picture, not of the scan with its frame.
-        camera = replace(camera, deformation=EbnerDeformation.of_format(photo.format_mm))
     try:
+        if camera.deformation is None and _TWELVE & set(keys) and photo.format_mm is not None:
+            # The grid is that of the picture, not of the scan with its frame.
+            camera = replace(camera, deformation=EbnerDeformation.of_format(photo.format_mm))
         calibratable(camera, keys)
     except InputError as error:
         raise ProjectError(

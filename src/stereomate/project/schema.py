@@ -247,6 +247,17 @@ class ProjectFile(Section):
         return self
 
     @model_validator(mode="after")
+    def _ebner_is_of_film(self) -> ProjectFile:
+        for section in self.camera:
+            wanted = self.orient.calibrate if section.calibrate is None else section.calibrate
+            model = None if section.distortion is None else section.distortion.model
+            if model not in (None, "brown") and any(key.startswith("ebner") for key in wanted):
+                raise ValueError(
+                    f"calibrate: ebner goes with the brown model or none; {section.name} has {model}"
+                )
+        return self
+
+    @model_validator(mode="after")
     def _undeclared_heights_are_one_system(self) -> ProjectFile:
         if self.project.heights != UNDECLARED:
             return self

@@ -167,9 +167,14 @@ class CameraSection(Section):
         return self
 
     @model_validator(mode="after")
-    def _film_is_behind_a_lens_that_has_no_other_model(self) -> CameraSection:
-        if self.ebner is not None and self.distortion is not None and self.distortion.model != "brown":
-            raise ValueError(f"ebner goes with the brown model or none, not with {self.distortion.model}")
+    def _film_is_behind_a_lens_of_browns(self) -> CameraSection:
+        if self.distortion is None or self.distortion.model == "brown":
+            return self
+        rule = f"goes with the brown model or none, not with {self.distortion.model}"
+        if self.ebner is not None:
+            raise ValueError(f"ebner {rule}")
+        if self.fiducials is not None and self.fiducials.transform == "projective":
+            raise ValueError(f"a projective transform of fiducials {rule}")
         return self
 
     @model_validator(mode="after")
