@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from stereomate.block.groups import NavigationGroups, one_group
 from stereomate.block.network import (
     Attitudes,
     BlockCamera,
@@ -81,12 +82,10 @@ class BlockData:
         NaN for unknown.
     attitude_sigma : (float, float, float) or None
         Radians; None: not observed.
-    lever_arm_m : (float, float, float)
-        From the projection centre to the place that `positions` tell, camera axes.
-    lever_arm_sigma_m : float
-        0: it is right.
     priors : mapping of str to mapping
         Name of a camera -> parameter -> standard deviation of its prior, in the parameter's own unit.
+    groups : NavigationGroups or None
+        Strips and mounts; None: one of each.
     tie_names : tuple of str or None
         Of the tie points, by their numbers; None: t0, t1, ...
     """
@@ -104,9 +103,8 @@ class BlockData:
     attitudes: Array
     attitude_sigma: tuple[float, float, float] | None
     tie_names: tuple[str, ...] | None = None
-    lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    lever_arm_sigma_m: float = 0.0
     priors: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    groups: NavigationGroups | None = None
 
     def camera(self, photo: int) -> Camera:
         """Camera of a photograph."""
@@ -244,13 +242,8 @@ def _positions(data: BlockData, photos: Integers) -> Positions | None:
     if not len(known):
         return None
     sigma = np.broadcast_to(np.array(data.position_sigma_m), (len(known), 3))
-    return Positions(
-        known,
-        data.positions[photos[known]],
-        sigma,
-        np.array(data.lever_arm_m),
-        lever_arm_sigma=data.lever_arm_sigma_m,
-    )
+    groups = data.groups or one_group(len(data.names))
+    return groups.positions(photos, known, data.positions[photos[known]], sigma)
 
 
 def _attitudes(data: BlockData, photos: Integers) -> Attitudes | None:
@@ -260,7 +253,8 @@ def _attitudes(data: BlockData, photos: Integers) -> Attitudes | None:
     if not len(known):
         return None
     sigma = np.broadcast_to(np.array(data.attitude_sigma), (len(known), 3))
-    return Attitudes(known, data.attitudes[photos[known]], sigma, boresight=True)
+    groups = data.groups or one_group(len(data.names))
+    return groups.attitudes(photos, known, data.attitudes[photos[known]], sigma)
 
 
 def _block_cameras(data: BlockData, with_datum: bool) -> tuple[BlockCamera, ...]:

@@ -7,6 +7,7 @@ together with control they show up as a shift in height of just this size.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -80,7 +81,8 @@ def find_systematic_shift(
     if positions is None or control is None or control.check is None or control.check.all():
         raise InputError("must hold positions and control points", field="network")
     strips = np.zeros(len(positions.photo), np.int64)
-    shifted = replace(positions, strip=strips, shift=True, drift=False)
+    no_prior = np.full(3, math.inf)
+    shifted = replace(positions, strip=strips, strip_names=(), shift=True, shift_sigma=no_prior, drift=False)
     again = adjust_block(replace(network, positions=shifted), replace(options, statistics=True))
     statistics = again.statistics
     if statistics is None:

@@ -108,7 +108,7 @@ def _fitted(
     """Factors of the groups over the good observations, redundancies, iterations, and if it converged."""
     factors = {name: 1.0 for name, _, _ in _PARTS}
     redundancies: dict[str, float] = {}
-    network, plain = _good(adjustment), replace(adjustment.options, robust="none")
+    network, plain = good_network(adjustment), replace(adjustment.options, robust="none")
     current = adjust_block(network, plain)
     for iteration in range(1, max_iterations + 1):
         settled = True
@@ -149,7 +149,7 @@ def components_of(adjustment: BlockAdjustment) -> tuple[VarianceComponent, ...]:
     return tuple(found)
 
 
-def _good(adjustment: BlockAdjustment) -> Network:
+def good_network(adjustment: BlockAdjustment) -> Network:
     """The network of what took part, from where it was adjusted; priors keep the values they were given."""
     network = replace(adjustment.adjusted_network(), cameras=adjustment.network.cameras)
     out = {

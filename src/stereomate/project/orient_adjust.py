@@ -23,9 +23,11 @@ from stereomate.project.orient_heights import height_findings
 from stereomate.project.orient_inputs import OrientInputs
 from stereomate.project.orient_known import control_measurements
 from stereomate.project.orient_measure import Measured
+from stereomate.project.orient_navigation import navigation_groups
 from stereomate.project.orient_photos import shared_pixels
 from stereomate.project.orient_placed import placed_by_table
 from stereomate.project.orient_screen import screen
+from stereomate.project.orient_strips import StripShifts, with_shifted_strips
 
 Array = NDArray[np.float64]
 
@@ -52,6 +54,8 @@ class Adjusted:
         Photographs without an orientation and why.
     findings : tuple of str
         What a reader must know.
+    strips : StripShifts
+        Tests of the strips' positions.
     """
 
     data: BlockData
@@ -61,6 +65,7 @@ class Adjusted:
     has_datum: bool
     left_out: dict[int, str]
     findings: tuple[str, ...]
+    strips: StripShifts
 
 
 def adjust_measured(
@@ -109,6 +114,7 @@ def adjust_measured(
     if at.has_datum and any(wanted.values()):
         data, assembled, result = _more_parameters(data, wanted, at, options, (assembled, result), findings)
     assembled, result = without_undetermined(data, at, options, (assembled, result), left_out)
+    assembled, result, strips = with_shifted_strips(data, assembled, result)
     if inputs.file.orient.variance_components:
         assembled, result = _with_components(assembled, result, findings)
     undetermined = [data.names[k] for k in sorted(left_out) if left_out[k] == UNDETERMINED]
@@ -124,6 +130,7 @@ def adjust_measured(
         at.has_datum,
         left_out,
         tuple(dict.fromkeys(findings)),
+        strips,
     )
 
 
@@ -331,7 +338,6 @@ def _block_data(inputs: OrientInputs, measured: Measured) -> BlockData:
         inputs.positions.attitudes,
         inputs.positions.attitude_sigma,
         measured.tie_names,
-        inputs.file.orient.lever_arm_m,
-        inputs.file.orient.lever_arm_sigma_m,
         {name: prior_sigmas(inputs, name) for name in cameras},
+        navigation_groups(inputs),
     )

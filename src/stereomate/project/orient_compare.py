@@ -111,7 +111,7 @@ def _mostly_out(control: Control | None, given: Control | None) -> bool:
 
 def _shift(result: BlockAdjustment, tangent: TangentFrame, frame: MapFrame) -> dict[str, Any] | None:
     network = result.network
-    if network.positions is None or network.control is None:
+    if network.positions is None or network.control is None or network.positions.shift:
         return None
     assert network.control.check is not None
     if (network.control.check | ~np.isfinite(network.control.sigma).any(axis=1)).all():

@@ -22,6 +22,7 @@ from stereomate.project.orient_expected import expected_accuracy, expected_findi
 from stereomate.project.orient_inputs import OrientInputs, heights_are_verified
 from stereomate.project.orient_measure import Measured
 from stereomate.project.orient_quality import judged_accuracy, observation_groups
+from stereomate.project.orient_strips_record import strip_findings, strips_record
 
 Array = NDArray[np.float64]
 
@@ -77,6 +78,7 @@ def adjustment_record(
     cameras = camera_records(result, inputs.file.orient.significance)
     expected = expected_accuracy(measured, adjusted)
     comparison, control = comparisons(inputs, adjusted), control_record(inputs, adjusted)
+    navigation = strips_record(adjusted.data.groups, adjusted.assembled.photos, result, adjusted.strips)
     x, y = result.rms_px
     used = result.used
     rays = np.bincount(result.network.image.photo[used], minlength=len(photos.names))
@@ -105,6 +107,7 @@ def adjustment_record(
         "findings": [
             *findings_of(comparison),
             *_taken_out(adjusted),
+            *strip_findings(navigation, inputs.positions.sigma_m),
             *_height_findings(inputs, adjusted),
             *_turned(inputs, adjusted),
             *adjusted.findings,
@@ -121,6 +124,7 @@ def adjustment_record(
         "photographs": _photographs(adjusted, photos, rays),
         "not_oriented": _not_oriented(inputs, measured, adjusted),
         "positions": _positions(inputs, adjusted),
+        "navigation": navigation,
         "control": control,
         "accuracy": judged_accuracy(inputs.file.accuracy, control),
         "observations": observation_groups(result),

@@ -21,6 +21,7 @@ from stereomate.project.adjustment_report import (
     photographs_section,
 )
 from stereomate.project.compare_report import comparison_sections
+from stereomate.project.navigation_report import navigation_sections
 from stereomate.project.orient import OrientResult
 from stereomate.report.orient_figures import residual_figure
 from stereomate.report.page import Picture, ReportContent, Section, Table, write_report
@@ -44,6 +45,7 @@ def orient_content(result: OrientResult) -> ReportContent:
         _block(result),
         _cameras(result),
         *control_sections(record),
+        *navigation_sections(record),
         photographs_section(record),
         *groups_section(record),
         *_expected(record),

@@ -41,6 +41,7 @@ Bands = Annotated[tuple[int, ...], Field(strict=False)]
 Pair = Annotated[tuple[str, str], Field(strict=False)]
 Pairs = Annotated[tuple[Pair, ...], Field(strict=False)]
 Sigmas = Annotated[tuple[Positive, Positive, Positive], Field(strict=False)]
+Groups = dict[str, Names]
 
 AnglesAxes = Literal["grid", "local", "tangent", "rph"]
 AngleOrder = Literal["omega-phi-kappa", "phi-omega-kappa"]
@@ -162,8 +163,13 @@ class OrientSection(Section):
     positions: Literal["auto", "exif", "none"] = "auto"
     position_sigma_m: Sigmas | None = None
     attitude_sigma_deg: Sigmas | None = None
-    lever_arm_m: Three = (0.0, 0.0, 0.0)
+    lever_arm_m: Three | dict[str, Three] = (0.0, 0.0, 0.0)
     lever_arm_sigma_m: Annotated[float, Field(ge=0)] = 0.0
+    boresight_sigma_deg: Literal["free"] | Annotated[float, Field(ge=0)] = "free"
+    mounts: Literal["camera", "one"] | Groups = "camera"
+    strips: Literal["auto"] | Groups = "auto"
+    strip_shift_sigma_m: Literal["free"] | Sigmas | None = None
+    strip_drift_sigma_m: Literal["free"] | Sigmas | None = None
     calibrate: Literal["auto", "none"] | Calibrated = "auto"
     priors: dict[Parameter, Positive] = Field(default_factory=dict)
     tie_points: str | None = None

@@ -1,0 +1,90 @@
+"""A shift of the positions of one strip, tested as an alternative hypothesis."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from blocks import make_block
+from scipy.stats import binom, chi2, ncx2
+
+from stereomate.block.adjustment import adjust_block
+from stereomate.block.options import BlockOptions
+from stereomate.block.shift_tests import noncentrality, shift_tests
+
+PRIOR = BlockOptions(scale_by="prior")
+
+
+def _shifted(rows, shift, control=0, noise_seed=None, **more):
+    """A block of strips of five; the positions of strip 1 are shifted."""
+    block = make_block(columns=5, rows=rows, gnss=0.05, control=control, noise_seed=noise_seed, **more)
+    strips = np.repeat(np.arange(rows), 5)
+    positions = block.network.positions
+    xyz = positions.xyz + np.where(strips == 1, 1.0, 0.0)[:, None] * np.asarray(shift)
+    return replace(block.network, positions=replace(positions, xyz=xyz)), strips
+
+
+def test_the_same_as_with_the_shift_as_an_unknown():
+    """Estimate, standard deviation and statistic against a second adjustment that has the shift unknown."""
+    network, strips = _shifted(3, (0.02, -0.01, 0.05), control=3)
+    plain = adjust_block(network, PRIOR)
+    tests = shift_tests(plain, strips)
+    assert [test.strip for test in tests] == [0, 1, 2, -1]
+    for test in tests:
+        of = np.zeros(15, int) if test.strip < 0 else np.where(strips == test.strip, 0, -1)
+        unknown = replace(network.positions, strip=of, shift=True)
+        again = adjust_block(replace(network, positions=unknown), PRIOR)
+        np.testing.assert_allclose(test.shift, again.shared[-3:], atol=2e-4)
+        np.testing.assert_allclose(test.sigma, again.statistics.shared_sigma[-3:], rtol=2e-3)
+        assert test.statistic == pytest.approx(plain.test.statistic - again.test.statistic, abs=0.05)
+        assert test.limit == pytest.approx(16.27, abs=0.01)
+        # A shift along one axis of the size that can be seen has the non-centrality of the power asked for.
+        size = noncentrality(0.001, 0.8, 3)
+        assert ncx2.sf(test.limit, 3, size) == pytest.approx(0.8, abs=1e-9)
+        information = np.linalg.inv(again.statistics.cofactors.shared[-3:, -3:])
+        np.testing.assert_allclose(test.detectable, np.sqrt(size / np.diag(information)), rtol=2e-3)
+
+
+def test_one_dimension_is_the_limit_of_baarda():
+    assert np.sqrt(noncentrality(0.001, 0.8, 1)) == pytest.approx(4.132, abs=1e-3)
+
+
+def test_two_strips_without_control_cannot_say_which_and_hardly_see_a_height():
+    """A metre of height of one strip turns the block; a metre along it shows, but not in which strip."""
+    for height, seen in ((1.0, False), (8.0, True)):
+        network, strips = _shifted(2, (0.0, 0.0, height))
+        first, second, every = shift_tests(adjust_block(network, PRIOR), strips)
+        # Eight metres tilt the block so that it is another one.
+        assert seen or 1.5 < first.detectable[2] < 6.0
+        assert (first.significant, second.significant) == (seen, seen)
+        np.testing.assert_allclose(first.shift, -second.shift, atol=1e-3)
+        # What is common to all positions is the datum.
+        assert every.dimension == 0
+        assert np.isinf(every.detectable).all()
+        assert (first.alike, second.alike) == (((1,), (0,)) if seen else ((), ()))
+
+
+def test_the_strip_that_is_shifted_stands_out_and_is_told_apart():
+    network, strips = _shifted(4, (0.0, 0.0, 1.0))
+    tests = shift_tests(adjust_block(network, PRIOR), strips)
+    found = max(tests[:4], key=lambda test: test.statistic)
+    assert (found.strip, found.alike) == (1, ())
+    assert abs(found.shift[2] - 1.0) < 4.0 * found.sigma[2]
+    assert max(found.detectable) < 0.2
+    np.testing.assert_array_equal(found.photo, np.arange(5, 10))
+
+
+@pytest.mark.slow
+def test_level_and_power_are_those_stated():
+    """120 blocks without a shift, and with one of the size that can be seen: chi-square, and the power."""
+    exact, strips = _shifted(3, (0.0, 0.0, 0.0), control=3, noise=0.0)
+    clean = {test.strip: test for test in shift_tests(adjust_block(exact, PRIOR), strips)}
+    total, found, count = 0.0, 0, 120
+    for seed in range(count):
+        network, _ = _shifted(3, (0.0, 0.0, 0.0), control=3, noise_seed=9000 + seed)
+        total += {t.strip: t for t in shift_tests(adjust_block(network, PRIOR), strips)}[1].statistic
+        network, _ = _shifted(3, (0.0, 0.0, clean[1].detectable[2]), control=3, noise_seed=9000 + seed)
+        found += {t.strip: t for t in shift_tests(adjust_block(network, PRIOR), strips)}[1].significant
+    assert chi2.ppf(0.005, 3 * count) < total < chi2.ppf(0.995, 3 * count)
+    assert binom.ppf(0.005, count, 0.8) <= found <= binom.ppf(0.995, count, 0.8)
