@@ -189,7 +189,8 @@ def cameras_table(record: Mapping[str, Any]) -> Table:
             number_text(value["value"], "{:.6g}"),
             number_text(value["standard_deviation"], "{:.2g}") if value["found"] else "held",
             number_text(value["prior"], "{:.2g}"),
-            number_text(value["t"], "{:.1f}") + ("" if value["significant"] is not False else " (no)"),
+            # Adjustments of earlier versions were not tested.
+            number_text(value.get("t"), "{:.1f}") + (" (no)" if value.get("significant") is False else ""),
         )
         for camera in record["cameras"]
         for name, value in camera["parameters"].items()
