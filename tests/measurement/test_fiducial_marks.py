@@ -17,6 +17,7 @@ from stereomate.measurement.fiducial_marks import (
     drawn_mark,
     find_fiducials,
 )
+from stereomate.measurement.mark_fit import fitted_centre
 
 SIDE, PITCH = 2400, 0.1
 CORNERS = {"1": (-106.0, -106.0), "2": (106.0, 106.0), "3": (-106.0, 106.0), "4": (106.0, -106.0)}
@@ -89,6 +90,39 @@ def test_drawn_marks_to_parts_of_a_pixel(kind) -> None:
         np.testing.assert_allclose(mark_found.pixel, truth[mark_found.name], atol=0.2)
     # Marks that look the same from all sides do not tell how the film lies, and that is said.
     assert len(found.others) == 7
+
+
+@pytest.mark.parametrize("kind", ["cross", "dot", "circle", "notch"])
+def test_marks_of_another_scan_turned_a_little_and_beside_other_things(kind) -> None:
+    """A crop of a noisy scan found in others: a dot has no direction, and a crop more in it than the mark."""
+    rng = np.random.default_rng(4)
+    size, side = 20.0, 44
+
+    def painted_scan(centre: np.ndarray, degrees: float) -> np.ndarray:
+        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        fine = (np.arange(side * 8) + 0.5) / 8
+        right, down = np.meshgrid(fine - centre[0], fine - centre[1])
+        x, y = c * right + s * down, c * down - s * right
+        on = {
+            "cross": (np.maximum(np.abs(x), np.abs(y)) <= size / 2)
+            & (np.minimum(np.abs(x), np.abs(y)) <= 2.0),
+            "dot": np.hypot(x, y) <= size / 2,
+            "circle": np.abs(np.hypot(x, y) - size / 2) <= 2.0,
+            "notch": (x <= 0.0) & (np.abs(y) <= -x) | (x <= -size / 2),
+        }[kind]
+        picture = 30.0 + 170.0 * on.reshape(side, 8, side, 8).mean(axis=(1, 3))
+        picture[:3] += 80.0 * rng.uniform(size=(3, 1))
+        return (cv2.GaussianBlur(picture, (0, 0), 0.8) + rng.normal(0, 3, picture.shape)).astype(np.float32)
+
+    first = np.array([22.3, 21.6])
+    crop, centre = painted_scan(first, 0.0)[3:41, 3:41], (first - 3.0).tolist()
+    errors = []
+    for _ in range(25):
+        truth = np.array([22.0, 22.0]) + rng.uniform(-0.9, 0.9, 2)
+        scan = painted_scan(truth, rng.uniform(-1.0, 1.0))
+        errors.append(np.subtract(fitted_centre(crop, (centre[0], centre[1]), scan, 3.0, 3.0), truth))
+    assert np.abs(errors).max() < 0.2
+    assert np.sqrt(np.mean(np.square(errors))) < 0.07
 
 
 CROPS = "hipp_fiducials/examples/fiducial_proxy_detection/input_data/fiducials"

@@ -19,9 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.errors import InputError, NotDeterminedError
-from stereomate.geometry.adjustment import AdjustmentOptions
-from stereomate.geometry.transforms import estimate_plane_transform
-from stereomate.measurement.least_squares_matching import LeastSquaresOptions, match_least_squares
+from stereomate.measurement.mark_fit import fitted_centre
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.float32]
@@ -34,9 +32,6 @@ Reader = Callable[[int, int, int, int], NDArray[Any]]
 _FINE: Final = 8
 # Longer side of a template in the first search.
 _COARSE_PX: Final = 48
-# Templates up to this are matched as a whole (across): parts of a circle would slide along it.
-_SMALL_PX: Final = 100
-_LARGEST_RADIUS: Final = 20
 # Correlations that differ by less do not tell two ways of lying apart.
 _SAME: Final = 0.03
 
@@ -318,55 +313,8 @@ class _Search:
             return None
         score = np.nan_to_num(cv2.matchTemplate(part, template.picture, cv2.TM_CCOEFF_NORMED))
         at_row, at_col = np.unravel_index(int(score.argmax()), score.shape)
-        x, y = _fitted(template, part, float(at_col), float(at_row))
+        x, y = fitted_centre(template.picture, template.centre_px, part, float(at_col), float(at_row))
         return FoundMark(name, (left + c0 + x, top + r0 + y), float(score.max()))
-
-
-def _fitted(template: MarkTemplate, part: Picture, col: float, row: float) -> Point:
-    """Centre of the template in a window of the scan, by least-squares matching of parts of the template.
-
-    The parts move together: a similarity through those that could be matched, the median shift where they
-    are few.
-    """
-    rows, cols = template.picture.shape
-    radius = max(min(rows, cols) // 2 - 4, 5)
-    if min(rows, cols) > _SMALL_PX:
-        radius = _LARGEST_RADIUS
-    here = np.stack(np.meshgrid(_parts(cols, radius), _parts(rows, radius)), axis=-1).reshape(-1, 2)
-    # Grey values of drawn pictures are from 0 to 1: contrast is told in the scan's.
-    stretch = float(part.std()) / max(float(template.picture.std()), 1e-12)
-    options = LeastSquaresOptions(
-        radius_px=radius, largest_way_px=5.0, least_correlation=0.6, largest_deformation=0.15
-    )
-    found = match_least_squares(
-        template.picture * np.float32(stretch), part, here, here + np.array([col, row]), None, options
-    )
-    good = found.matched
-    centre = np.array(template.centre_px)
-    if not good.any():
-        return col + template.centre_px[0], row + template.centre_px[1]
-    source, target = found.left_px[good], found.right_px[good]
-    shifts = target - source
-    middle = np.median(shifts, axis=0)
-    near = np.linalg.norm(shifts - middle, axis=1) <= 2.0
-    if not near.any():
-        return col + template.centre_px[0], row + template.centre_px[1]
-    source, target, shifts = source[near], target[near], shifts[near]
-    if len(source) < 4 or float(np.ptp(source, axis=0).max()) < 2.0 * radius:
-        x, y = (centre + np.median(shifts, axis=0)).tolist()
-        return x, y
-    estimate = estimate_plane_transform("similarity", source, target, 0.1, AdjustmentOptions(loss="huber"))
-    x, y = np.asarray(estimate.transform.apply(centre)).tolist()
-    return x, y
-
-
-def _parts(length: int, radius: int) -> Array:
-    """Middles of windows that fit into a length, a radius apart, in pixel centres."""
-    first, last = radius + 2, length - radius - 3
-    if last <= first:
-        return np.array([length // 2 + 0.5])
-    count = max(2, (last - first) // radius + 1)
-    return np.floor(np.linspace(first, last, count)) + 0.5
 
 
 def _reduced(picture: Picture, factor: int) -> Picture:
