@@ -7,14 +7,14 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import qr
 
 from stereomate.block.absorbed import absorbed
+from stereomate.block.kernels.structure import pivots
 from stereomate.block.navigation import groups_of
 from stereomate.block.network import Network
 from stereomate.block.unknowns import State, layout_of, start_of
 from stereomate.geometry.rotations import rotation_from_vector, skew
-from stereomate.geometry.similarity import closed_form
+from stereomate.geometry.similarity import similarity_arrays
 
 Array = NDArray[np.float64]
 
@@ -124,9 +124,10 @@ def held(network: Network, defect: Defect) -> Network:
         axis=1,
     ).reshape(6 * n, defect.size)
     moves = np.where(fixed.reshape(-1, 1), 0.0, moves)
-    _, _, pivots = qr(moves.T, mode="economic", pivoting=True)
-    fixed.reshape(-1)[pivots[: defect.size]] = True
-    return replace(network, photographs=replace(photographs, fixed=fixed))
+    chosen = np.empty(defect.size, np.int64)
+    pivots(moves, chosen)
+    fixed.reshape(-1)[chosen] = True
+    return network.holding(fixed)
 
 
 def onto_start(state: State, start: State, defect: Defect, determined: NDArray[np.bool_]) -> State:
@@ -135,12 +136,12 @@ def onto_start(state: State, start: State, defect: Defect, determined: NDArray[n
     there = np.concatenate([start.centres, start.points[determined]])
     rotations, points = state.rotations, state.points
     if defect.size == _ALL:
-        found = closed_form(here, there, False, np.ones(len(here)))
+        turn, shift, scale = similarity_arrays(here, there, False, np.ones(len(here)))
         return replace(
             state,
-            centres=found.apply(state.centres),
-            rotations=np.array(found.rotation) @ rotations,
-            points=found.apply(points),
+            centres=scale * (state.centres @ turn.T) + shift,
+            rotations=turn @ rotations,
+            points=scale * (points @ turn.T) + shift,
         )
     for _ in range(20):
         moves = defect.moves(here).reshape(-1, defect.size)

@@ -147,14 +147,14 @@ def camera_arrays(prepared: Prepared, state: State) -> CameraArrays:
     layout, cameras = prepared.layout, prepared.network.cameras
     packed, lists = [], []
     for entry, values, chosen in zip(cameras, state.cameras, layout.chosen, strict=True):
-        one, jacobian = packed_camera(entry.camera, values, chosen)
+        one, moved = packed_camera(entry.camera, values, chosen)
         packed.append(one)
-        where = np.argwhere(jacobian)
-        lists.append((where, jacobian[where[:, 0], where[:, 1]]))
-    most = max(len(values) for _, values in lists) + 1
+        lists.append(moved)
+    most = max(map(len, lists)) + 1
     entries, derivatives = np.full((len(cameras), most, 2), -1), np.zeros((len(cameras), most))
-    for c, (where, numbers) in enumerate(lists):
-        entries[c, : len(numbers)], derivatives[c, : len(numbers)] = where, numbers
+    for c, moved in enumerate(lists):
+        for t, (at, unknown, derivative) in enumerate(moved):
+            entries[c, t, 0], entries[c, t, 1], derivatives[c, t] = at, unknown, derivative
     models = np.array([entry.camera.jacobian_model for entry in cameras], dtype=np.int64)
     return CameraArrays(models, np.array(packed), entries, derivatives)
 

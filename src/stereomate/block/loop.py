@@ -23,6 +23,7 @@ from stereomate.block.equations import (
     solve,
     workspace_of,
 )
+from stereomate.block.kernels.points import outside
 from stereomate.block.kernels.projection import residuals as kernel_residuals
 from stereomate.block.network import Network
 from stereomate.block.open_datum import open_datum
@@ -198,10 +199,9 @@ def run_loop(
 def outside_photographs(network: Network) -> Mask:
     """Image observations that lie outside the pixel array of their photograph."""
     sizes = np.array([entry.camera.size_px for entry in network.cameras], dtype=np.float64)
-    limit = sizes[network.photographs.camera[network.image.photo]]
-    edge = _EDGE * limit.max(axis=1, keepdims=True)
-    xy = network.image.xy
-    return np.asarray(((xy < -edge) | (xy > limit + edge)).any(axis=1))
+    out = np.empty(len(network.image.photo), np.bool_)
+    outside(network.image.photo, network.image.xy, network.photographs.camera, sizes, _EDGE, out)
+    return out
 
 
 def _outside_note(network: Network, outside: Mask) -> str:

@@ -7,6 +7,7 @@ are known by their index; names are for the reader.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -342,6 +343,13 @@ class Network:
         """The same network from other approximate values."""
         photographs = replace(self.photographs, centres=centres, rotations=rotations)
         return replace(self, photographs=photographs, points=replace(self.points, xyz=xyz))
+
+    def holding(self, fixed: Mask) -> Network:
+        """The same network with unknowns of photographs (n, 6) held; what was looked at is not again."""
+        photographs, network = copy.copy(self.photographs), copy.copy(self)
+        object.__setattr__(photographs, "fixed", fixed)
+        object.__setattr__(network, "photographs", photographs)
+        return network
 
 
 def _own(owner: Any, name: str, dtype: Any, shape: tuple[int, ...]) -> None:

@@ -19,6 +19,7 @@ from stereomate.block.network import Network
 Array = NDArray[np.float64]
 
 _AXES: Final = "xyz"
+EVERYTHING: Final = ("shift x", "shift y", "shift z", "turn x", "turn y", "turn z", "scale")
 # Directions closer to an axis than this are called by it.
 _ALONG: Final = 0.02
 # Part of the extent within which a point lies on a line.
@@ -37,6 +38,8 @@ def open_datum(network: Network, defect: Defect) -> tuple[str, ...]:
     """
     if not defect.size:
         return ()
+    if defect.size == len(EVERYTHING):
+        return EVERYTHING
     directions = defect.directions
     shifts = _without(directions, directions[3:])
     turns = _without(directions, directions[6:])

@@ -14,11 +14,12 @@ from stereomate.block.network import PIXEL_PARAMETERS, Attitudes, BlockCamera, N
 from stereomate.camera.kernels import BROWN_INVERSE, FILM_INVERSE
 from stereomate.camera.kernels.layout import R2_MAX
 from stereomate.camera.model import Camera
-from stereomate.camera.packing import pack_parameters
+from stereomate.camera.packing import moved_entries, pack_parameters
 from stereomate.geometry.rotations import rotation_from_vector
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
+Entries = list[tuple[int, int, float]]
 
 _AXES: Final = ("x", "y", "z")
 
@@ -94,29 +95,35 @@ def camera_from_values(camera: Camera, values: Array) -> Camera:
 
 
 def _affine(camera: Camera, values: Any) -> Any:
-    """`pixel_from_photo` with the aspect and the shear of `values` (n,) or (n, s)."""
+    """`pixel_from_photo` with the aspect and the shear of `values` (n,)."""
     aspect, shear = values[-2:]
     return [[a * (1.0 + aspect), a * shear + b, c] for a, b, c in camera.pixel_from_photo]
 
 
-def packed_camera(camera: Camera, values: Array, chosen: Integers) -> tuple[Array, Array]:
-    """Parameter array of the kernels (LENGTH,) and its derivatives (LENGTH, chosen), by complex steps."""
-    stepped = np.repeat(values.astype(np.complex128)[:, None], len(chosen) + 1, axis=1)
-    stepped[chosen, np.arange(len(chosen))] += 1e-30j
-    matrix: Any = camera.pixel_from_photo
-    if values[-2:].any() or np.any(chosen >= len(values) - 2):
-        matrix = _affine(camera, stepped)
-    # The last set is the values themselves.
-    film = camera.film_stage
-    by_step = pack_parameters(stepped[:-2], matrix, camera.distortion, film)
+def packed_camera(camera: Camera, values: Array, chosen: Integers) -> tuple[Array, Entries]:
+    """Parameter array of the kernels (LENGTH,), and how the chosen unknowns move its entries.
+
+    Returns
+    -------
+    packed : ndarray
+    entries : list of (entry, unknown, derivative)
+        What is not zero, by complex steps.
+    """
+    film, start = camera.film_stage, values.tolist()
+    sheared = bool(values[-2:].any() or np.any(chosen >= len(values) - 2))
+
+    def pack_at(now: list[Any]) -> list[Any]:
+        matrix: Any = _affine(camera, now) if sheared else camera.pixel_from_photo
+        packed: list[Any] = pack_parameters(now[:-2], matrix, camera.distortion, film)
+        return packed
+
+    entries = moved_entries(pack_at, start, chosen.tolist())
     if camera.jacobian_model in (BROWN_INVERSE, FILM_INVERSE):
         # The inverse needs its bracket.
-        moved = camera_from_values(camera, values)
-        packed = np.array(moved.kernel_parameters()[1])
-    else:
-        packed = np.ascontiguousarray(by_step[:, -1].real)
-        packed[R2_MAX] = math.inf
-    return packed, by_step[:, :-1].imag / 1e-30
+        return np.array(camera_from_values(camera, values).kernel_parameters()[1]), entries
+    packed = np.array(pack_at(start))
+    packed[R2_MAX] = math.inf
+    return packed, entries
 
 
 def layout_of(network: Network) -> Layout:

@@ -7,6 +7,7 @@ distance, principal point, point of symmetry, affinity, pixel pitch and turns.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -37,6 +38,8 @@ _SEARCH_MARGIN = 1.25
 _FAR = 1e4
 
 
+# Of a derivative by a complex step, which loses no digits.
+_STEP = 1e-30
 # Of film alone: how finely the polynomial is searched for a fold.
 _FILM_RADII, _FILM_DIRECTIONS = 32, 48
 
@@ -120,11 +123,13 @@ def _opencv_into(packed: Any, values: Any) -> None:
 def pack_parameters(vector: Any, affine: Any, distortion: Distortion, film: FilmStage | None = None) -> Any:
     """The parameter array without its inverses and limits; also for complex `vector` (derivatives).
 
-    `vector` (n,) or (n, s): s sets of parameters give (LENGTH, s); `affine` 2x3, of numbers or of (s,).
+    `vector` (n,), or a list of numbers, for a list of LENGTH numbers: few numbers are faster without arrays.
+    `affine` 2x3.
     """
-    vector = np.asarray(vector)
-    kind = np.result_type(vector.dtype, np.float64, *(np.asarray(v).dtype for row in affine for v in row))
-    packed = np.zeros((k.LENGTH, *vector.shape[1:]), dtype=kind)
+    packed: Any = [0.0] * k.LENGTH
+    if not isinstance(vector, list):
+        vector = np.asarray(vector)
+        packed = np.zeros(k.LENGTH, dtype=np.result_type(vector.dtype, np.float64))
     c, xp, yp = vector[:3]
     xs, ys, values = xp, yp, vector[3:]
     if isinstance(distortion, BrownDistortion) and distortion.symmetry_mm is not None:
@@ -171,7 +176,7 @@ def _film_into(packed: Any, twelve: Any, affine: Any, film: FilmStage) -> Any:
     """Write what comes behind the film coordinates; return the affine from the photo system to these."""
     s = film.spacing_mm
     if film.deformed:
-        packed[k.F : k.F + 12] = twelve / s
+        packed[k.F : k.F + 12] = [v / s for v in twelve]
     for row, (ax, ay, a0) in zip((k.A, k.A + 3), affine, strict=True):
         packed[row], packed[row + 1], packed[row + 2] = ax * s, ay * s, a0
     packed[k.Q], packed[k.Q + 1] = film.projective[0] * s, film.projective[1] * s
@@ -317,6 +322,27 @@ def pack_jacobian(
 
     By complex steps through the same folding: exact to rounding, no difference is taken.
     """
-    stepped = np.array(vector, dtype=np.complex128)[:, None] + 1e-30j * np.eye(len(vector))
-    result: Array = np.imag(pack_parameters(stepped, affine, distortion, film)) / 1e-30
+    result = np.zeros((k.LENGTH, len(vector)))
+    for entry, i, derivative in moved_entries(
+        lambda now: pack_parameters(now, affine, distortion, film), vector, range(len(vector))
+    ):
+        result[entry, i] = derivative
     return result
+
+
+def moved_entries(
+    packed_at: Callable[[list[Any]], list[Any]], vector: Iterable[float], chosen: Iterable[int]
+) -> list[tuple[int, int, float]]:
+    """How some numbers of a vector move the entries of what is packed from it: what is not zero.
+
+    Returns
+    -------
+    list of (entry, number, derivative)
+        The number by its place among the chosen; by complex steps.
+    """
+    start, found = list(vector), []
+    for place, i in enumerate(chosen):
+        stepped: list[Any] = start.copy()
+        stepped[i] += _STEP * 1j
+        found += [(e, place, float(v.imag) / _STEP) for e, v in enumerate(packed_at(stepped)) if v.imag]
+    return found

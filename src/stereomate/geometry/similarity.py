@@ -93,6 +93,13 @@ class SimilarityEstimate:
 
 def closed_form(source: Array, target: Array, rigid: bool, weights: NDArray[np.float64]) -> SpaceTransform:
     """Weighted closed solution by singular values (Umeyama 1991); weights per point (n,)."""
+    return SpaceTransform.from_arrays(*similarity_arrays(source, target, rigid, weights))
+
+
+def similarity_arrays(
+    source: Array, target: Array, rigid: bool, weights: NDArray[np.float64]
+) -> tuple[Array, Array, float]:
+    """As `closed_form`: rotation (3, 3), translation (3,) and scale."""
     w = weights / weights.sum()
     mean_source, mean_target = w @ source, w @ target
     a, b = source - mean_source, target - mean_target
@@ -101,7 +108,7 @@ def closed_form(source: Array, target: Array, rigid: bool, weights: NDArray[np.f
     rotation = (u * sign) @ vt
     spread = float(w @ np.sum(a * a, axis=1))
     scale = 1.0 if rigid else float(singular @ sign) / spread
-    return SpaceTransform.from_arrays(rotation, mean_target - scale * (rotation @ mean_source), scale)
+    return rotation, mean_target - scale * (rotation @ mean_source), scale
 
 
 def estimate_space_transform(

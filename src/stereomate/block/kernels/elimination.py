@@ -101,14 +101,12 @@ def eliminate_photos(
         e = rows_cross(own, dx, dy, dz)
         h = columns_cross(e, dx, dy, dz)
         _add_own(own, e, h, at * stride + at, stride, flat)
-        direct = (n[0], n[1], n[2], n[1], n[3], n[4], n[2], n[4], n[5])
-        turned = columns_cross(rows_cross(direct, dx, dy, dz), dx, dy, dz)
         diagonal[at] += n[0]
         diagonal[at + 1] += n[3]
         diagonal[at + 2] += n[5]
-        diagonal[at + 3] += turned[0]
-        diagonal[at + 4] += turned[4]
-        diagonal[at + 5] += turned[8]
+        diagonal[at + 3] += n[3] * dz * dz - 2.0 * n[4] * dy * dz + n[5] * dy * dy
+        diagonal[at + 4] += n[5] * dx * dx - 2.0 * n[2] * dx * dz + n[0] * dz * dz
+        diagonal[at + 5] += n[0] * dy * dy - 2.0 * n[1] * dx * dy + n[3] * dx * dx
         for i2 in range(low, i):
             n2 = six_of(information, i2)
             if n2[0] + n2[3] + n2[5] == 0.0:

@@ -10,6 +10,7 @@ from stereomate.jit import kernel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 
 @kernel
@@ -117,3 +118,14 @@ def photos_from_points(
                 out_shared[first[c] + f] -= (
                     by_border[t, f, 0] * x + by_border[t, f, 1] * y + by_border[t, f, 2] * z
                 )
+
+
+@kernel
+def outside(photo: Indices, xy: Array, camera: Indices, sizes: Array, edge: float, out: Flags) -> None:
+    """Observations farther outside the pixel array than a part of its larger side, into `out` (m,)."""
+    for i in range(photo.shape[0]):
+        c = camera[photo[i]]
+        columns, rows = sizes[c, 0], sizes[c, 1]
+        far = edge * max(columns, rows)
+        x, y = xy[i, 0], xy[i, 1]
+        out[i] = (x < -far) | (x > columns + far) | (y < -far) | (y > rows + far)

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from stereomate.jit import kernel
 
+Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
@@ -69,3 +70,29 @@ def bandwidth(starts: Indices, others: Indices, place: Indices) -> int:
             if distance > widest:
                 widest = distance
     return widest
+
+
+@kernel
+def pivots(rows: Array, out: Indices) -> None:
+    """Rows of (n, d) that span it best, one after the other, into `out` (d,): the longest of what is left.
+
+    `rows` is written over.
+    """
+    n, d = rows.shape
+    for t in range(out.shape[0]):
+        best, longest = 0, -1.0
+        for i in range(n):
+            square = 0.0
+            for a in range(d):
+                square += rows[i, a] * rows[i, a]
+            if square > longest:
+                best, longest = i, square
+        out[t] = best
+        unit = rows[best].copy()
+        for i in range(n):
+            along = 0.0
+            for a in range(d):
+                along += rows[i, a] * unit[a]
+            along /= max(longest, 1e-300)
+            for a in range(d):
+                rows[i, a] -= along * unit[a]
