@@ -7,7 +7,7 @@ where only positions are, each with each in a small block, and else by a first l
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -127,8 +127,15 @@ def select_pairs(
     return PairSelection(tuple(sorted(pairs)), "by the distance of the projection centres")
 
 
-def pairs_by_first_look(features: Sequence[Features], options: PairOptions | None = None) -> PairSelection:
-    """Pairs whose few largest features match in several places (C. Wu 2013, preemptive matching)."""
+def pairs_by_first_look(
+    features: Sequence[Features],
+    options: PairOptions | None = None,
+    among: Collection[int] | None = None,
+) -> PairSelection:
+    """Pairs whose few largest features match in several places (C. Wu 2013, preemptive matching).
+
+    With `among`, those alone that one of these photographs belongs to.
+    """
     options = options or PairOptions()
     few = []
     for found in features:
@@ -137,7 +144,8 @@ def pairs_by_first_look(features: Sequence[Features], options: PairOptions | Non
     pairs = [
         (i, j)
         for i, j in itertools.combinations(range(len(few)), 2)
-        if len(match_features(few[i], few[j], _FEW_MATCHES)) >= options.least_matches
+        if (among is None or i in among or j in among)
+        and len(match_features(few[i], few[j], _FEW_MATCHES)) >= options.least_matches
     ]
     return PairSelection(tuple(pairs), f"by a first look at the {_FEW} largest features of each photograph")
 

@@ -13,6 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from stereomate.block.models import PairPose
 from stereomate.block.photos import BlockPhoto, features_of_photo, is_mirrored
@@ -42,6 +43,13 @@ Progress = Callable[[int, int], None]
 FEATURES_OF_A_BLOCK: Final = FeatureOptions(max_features=6000)
 # Cached features of this many photographs: pairs of neighbours follow each other.
 _CACHED: Final = 64
+# A copy, perhaps strongly compressed: of so many of the largest features this share is at the same place to
+# so many pixels of the reduced image, with descriptors of this cosine.
+_LOOKED_AT: Final = 400
+_LEAST_FEATURES: Final = 50
+_SAME_PX: Final = 1.0
+_ALIKE: Final = 0.9
+_SAME_SHARE: Final = 0.5
 
 
 @dataclass(frozen=True)
@@ -65,12 +73,16 @@ class TiePointOptions:
 
 @dataclass(frozen=True)
 class PairResult:
-    """What came of a pair: counts of features and matches; reasons if it gave no orientation."""
+    """What came of a pair: counts of features and matches; reasons if it gave no orientation.
+
+    `same_picture`: all of their features lie at the same pixels.
+    """
 
     first: int
     second: int
     counts: Mapping[str, int]
     reasons: tuple[str, ...]
+    same_picture: bool = False
 
 
 def find_features(
@@ -164,7 +176,10 @@ def match_pairs(
     records = database.done("pair")
     return tuple(
         PairResult(
-            *pair, records[names[pair]][1]["counts"], tuple(records[names[pair]][1].get("reasons", ()))
+            *pair,
+            records[names[pair]][1]["counts"],
+            tuple(records[names[pair]][1].get("reasons", ())),
+            "same_picture" in records[names[pair]][1],
         )
         for pair in selection.pairs
     )
@@ -177,6 +192,10 @@ def _oriented(
         first.camera, second.camera, cache.of(first.number), cache.of(second.number), options.automatic
     )
     none = np.empty((0, 2), dtype=np.int64)
+    if shows_same_picture(pair):
+        empty = np.empty(0, dtype=np.int64)
+        record = {"counts": {}, "reasons": ["they show the same picture"], "same_picture": True}
+        return PairRow(first.number, second.number, none), _Rows(empty, empty), record
     try:
         found = pair.orient()
     except NotDeterminedError as error:
@@ -184,7 +203,7 @@ def _oriented(
         empty = np.empty(0, dtype=np.int64)
         matches = _Rows(empty, empty)
         return row, matches, {"counts": {}, "reasons": [str(error)]}
-    record: dict[str, Any] = {"counts": found.counts}
+    record = {"counts": found.counts}
     if found.reasons:
         record["reasons"] = list(found.reasons)
     used = found.used
@@ -202,6 +221,23 @@ def _oriented(
         found.matches,
         record,
     )
+
+
+def shows_same_picture(pair: FeaturePair) -> bool:
+    """Whether most of the strongest features of two photographs are at the same pixels, and alike.
+
+    Two photographs from different places have hardly any such; from one place, without a base, they are of
+    no more use together than a copy is.
+    """
+    one, other = pair.left_features, pair.right_features
+    if pair.left_camera.size_px != pair.right_camera.size_px or min(len(one), len(other)) < _LEAST_FEATURES:
+        return False
+    few = np.argsort(-one.size_px, kind="stable")[:_LOOKED_AT]
+    apart, nearest = cKDTree(other.pixels).query(one.pixels[few])
+    near = apart <= _SAME_PX * reduction(pair.left_camera.size_px, pair.options)
+    alike = np.sum(one.descriptors[few] * other.descriptors[nearest], axis=1)
+    size = np.linalg.norm(one.descriptors[few], axis=1) * np.linalg.norm(other.descriptors[nearest], axis=1)
+    return bool(np.mean(near & (alike > _ALIKE * size)) > _SAME_SHARE)
 
 
 def _contradicted(reasons: Sequence[str]) -> bool:

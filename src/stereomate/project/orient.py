@@ -128,6 +128,11 @@ def orient(
     adjusted = adjust_measured(inputs, measured, lambda d, n: tell("adjustment", d, n))
     if not adjusted.oriented:
         raise NotDeterminedError("orientation: no photograph could be oriented")
+    if not adjusted.result.used.any():
+        raise NotDeterminedError(
+            "orientation: no image observation agrees with the others and with positions and control points: "
+            "one of these is wrong as a whole (its unit, its CRS), or the principal distance is"
+        )
     photos = oriented_photos(inputs, adjusted)
     record = adjustment_record(inputs, measured, adjusted, photos, key)
     result = OrientResult(out, inputs, record, measured, adjusted, photos)

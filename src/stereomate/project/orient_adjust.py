@@ -86,7 +86,7 @@ def adjust_measured(
     """
     screened = screen(inputs, measured)
     inputs, measured = screened.inputs, screened.measured
-    findings = [*measured.findings, *screened.findings, *height_findings(inputs, measured)]
+    findings = [*inputs.findings, *measured.findings, *screened.findings, *height_findings(inputs, measured)]
     at, left_out = _taking_part(inputs, measured, findings)
     options = BlockOptions(
         robust=inputs.file.orient.robust,

@@ -23,6 +23,7 @@ from stereomate.project.meaning import resolve_adjusted
 from stereomate.project.orient_control import Control, read_block_control
 from stereomate.project.orient_photos import RawPhoto, RawPhotos, raw_photos
 from stereomate.project.orient_stated import photographs_of_measurements
+from stereomate.project.orient_whereabouts import check_control_place, far_positions
 from stereomate.project.orientations import (
     GNSS_CRS,
     Reading,
@@ -91,6 +92,8 @@ class OrientInputs:
         Stated, instead of found.
     problems : tuple of PhotoProblem
     notes : tuple of str
+    findings : tuple of str
+        What a reader must know of them.
     """
 
     path: Path
@@ -104,6 +107,7 @@ class OrientInputs:
     tie_points: ImageMeasurements | None
     problems: tuple[PhotoProblem, ...]
     notes: tuple[str, ...]
+    findings: tuple[str, ...] = ()
 
     @property
     def approximation(self) -> Approximation:
@@ -135,13 +139,18 @@ def read_orient_inputs(path: str | Path) -> OrientInputs:
     control = read_block_control(file, path, reading, [photo.path.name for photo in raw.photos])
     if control is not None:
         notes += control.notes
-    tangent, positions = _positions(file, path, reading, written, raw.photos, frame, control, notes)
+    findings: list[str] = []
+    tangent, positions = _positions(file, path, reading, written, raw.photos, frame, control, notes, findings)
+    if control is not None:
+        assert file.control is not None  # where it comes from
+        degrees = _degrees(tangent, positions)
+        check_control_place(control.frame, control.xyz, degrees, path.parent / file.control.file)
     if control is not None and tangent is not None:
         control = control.placed(tangent, frame)
     ground = _ground(file, frame, tangent, positions, control)
     return OrientInputs(
         path, file, frame, tangent, raw.photos, positions, ground, control, tie_points,
-        raw.problems, tuple(notes),
+        raw.problems, tuple(notes), tuple(findings),
     )  # fmt: skip
 
 
@@ -171,6 +180,7 @@ def _positions(
     frame: MapFrame,
     control: Control | None,
     notes: list[str],
+    findings: list[str],
 ) -> tuple[TangentFrame | None, Positions]:
     n = len(photos)
     nothing = np.full((n, 3), np.nan)
@@ -182,9 +192,12 @@ def _positions(
             true = resolve_adjusted(file, reading, written, np.arange(len(written.names)), None, notes)
             assert true is not None  # declared, else refused
             written = replace(written, positions=true.centres)
-        return _of_table(file, written, photos, frame, height, notes)
+        return _of_table(file, written, photos, frame, height, notes, findings)
     if file.orient.positions != "none":
         geographic = np.array([_exif_position(photo) for photo in photos]).reshape(n, 3)
+        far = far_positions(geographic[:, :2], [photo.path.name for photo in photos])
+        findings += far.values()
+        geographic[list(far)] = math.nan
         known = np.isfinite(geographic).all(axis=1)
         if known.any():
             return _of_exif(file, reading, photos, frame, geographic, height, notes)
@@ -210,11 +223,16 @@ def _of_table(
     frame: MapFrame,
     height: float | None,
     notes: list[str],
+    findings: list[str],
 ) -> tuple[TangentFrame, Positions]:
-    geographic = written.frame.geodetic_from_map(written.positions)
-    tangent = _tangent(file, frame, geographic)
+    geographic = np.array(written.frame.geodetic_from_map(written.positions))
+    far = far_positions(geographic[:, :2], written.names)
+    findings += far.values()
+    geographic[list(far)] = math.nan
+    tangent = _tangent(file, frame, geographic[np.isfinite(geographic).all(axis=1)])
     centres = tangent_from_map(tangent, written.frame, written.positions)
-    turns = written.placed(tangent, centres)
+    turns = np.array(written.placed(tangent, centres))
+    centres[list(far)], turns[list(far)] = math.nan, math.nan
     index = {_stem(name): k for k, name in enumerate(written.names)}
     rows = [index.get(photo.name, -1) for photo in photos]
     missing = [photo.name for photo, row in zip(photos, rows, strict=True) if row < 0]
@@ -297,6 +315,15 @@ def _tangent(file: ProjectFile, frame: MapFrame, geographic: Array) -> TangentFr
     lon, lat, _ = geographic.mean(axis=0)
     # Rounded as in a run, so that both use the same frame.
     return TangentFrame.at_geodetic(frame.geodetic, round(float(lon), 3), round(float(lat), 3), 0.0)
+
+
+def _degrees(tangent: TangentFrame | None, positions: Positions) -> Array:
+    """Longitude and latitude of the positions (n, 2); NaN where not known."""
+    degrees = np.full((len(positions.tangent), 2), math.nan)
+    known = np.isfinite(positions.tangent).all(axis=1)
+    if tangent is not None and known.any():
+        degrees[known] = tangent.geodetic_from_tangent(positions.tangent[known])[:, :2]
+    return degrees
 
 
 def _ground(

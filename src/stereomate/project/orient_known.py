@@ -65,6 +65,23 @@ def control_measurements(
     )
 
 
+def once_findings(control: Control, photos: Sequence[BlockPhoto]) -> list[str]:
+    """Control points that one photograph alone shows, in words: they are used, but hardly checked."""
+    measured = control_measurements(control, photos)
+    if measured is None:
+        return []
+    counts = np.bincount(measured[0], minlength=len(control.names))
+    names = [name for name, count in zip(control.names, counts.tolist(), strict=True) if count == 1]
+    if not names:
+        return []
+    more = f" and {len(names) - 5} more" if len(names) > 5 else ""
+    return [
+        "control: measured in one photograph only, so that hardly anything checks them: "
+        + ", ".join(names[:5])
+        + more
+    ]
+
+
 def outside_findings(control: Control, photos: Sequence[BlockPhoto]) -> list[str]:
     """Measurements of control points that lie outside their photograph, in words."""
     given = control.measurements

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +14,10 @@ from stereomate.block.models import JoiningOptions, PairPose
 from stereomate.block.photos import BlockPhoto
 from stereomate.block.refine import OrientedPoints, measure_again
 from stereomate.block.start import KnownPositions, find_start
-from stereomate.block.start_pairs import Approximation, PairSelection
 from stereomate.block.tie_points import (
     PairResult,
     TiePointOptions,
-    choose_pairs,
     find_features,
-    match_pairs,
     pair_poses,
     tie_points,
 )
@@ -33,7 +30,8 @@ from stereomate.measurement.features import FeatureOptions
 from stereomate.measurement.tracks import ThinningOptions, TiePoints
 from stereomate.project.inputs import PhotoProblem
 from stereomate.project.orient_inputs import OrientInputs
-from stereomate.project.orient_known import known_points, outside_findings
+from stereomate.project.orient_known import known_points, once_findings, outside_findings
+from stereomate.project.orient_pairs import matched_pairs
 from stereomate.project.orient_stated import (
     LEAST_POINTS,
     block_photos,
@@ -151,6 +149,7 @@ def measure_block(
     findings = tied.findings
     if inputs.control is not None:
         findings += tuple(outside_findings(inputs.control, photos))
+        findings += tuple(once_findings(inputs.control, photos))
     return Measured(
         photos,
         tied.pairs,
@@ -191,12 +190,13 @@ def _found(
     options = tie_point_options(inputs)
     failed = find_features(database, photos, options, executor, _named(progress, "features"))
     problems = tuple(PhotoProblem(photos[k - 1].name, ImageError(e)) for k, e in sorted(failed.items()))
-    selection = _selection(database, photos, inputs, options, failed)
-    pairs = match_pairs(database, photos, selection, options, executor, _named(progress, "pairs"))
+    matched = matched_pairs(database, photos, inputs, options, failed, executor, _named(progress, "pairs"))
+    selection, problems = matched.selection, (*problems, *matched.problems)
     progress("tie points", 0, 1)
     ties, counts = tie_points(database, photos, selection, options)
     progress("tie points", 1, 1)
-    return _Tied(ties, counts, pairs, pair_poses(database, photos, selection), selection.how, problems)
+    poses = pair_poses(database, photos, selection)
+    return _Tied(ties, counts, matched.results, poses, selection.how, problems, matched.findings)
 
 
 def _stated(given: ImageMeasurements, photos: Sequence[BlockPhoto], progress: ProgressSink) -> _Tied:
@@ -266,25 +266,6 @@ def _colmap_camera(camera: Camera) -> CameraRow:
     if lens.kind == "brown" and not any(lens.radial[2:]):
         return CameraRow(_OPENCV, camera.size_px, (*plain, *lens.radial[:2], lens.p1, lens.p2))
     return CameraRow(_PINHOLE, camera.size_px, plain)
-
-
-def _selection(
-    database: MeasurementDatabase,
-    photos: Sequence[BlockPhoto],
-    inputs: OrientInputs,
-    options: TiePointOptions,
-    failed: dict[int, str],
-) -> PairSelection:
-    known = inputs.approximation
-    n = len(photos)
-    if inputs.file.orient.pairs == "all":
-        nothing = Approximation(np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan))
-        options = replace(options, pairs=replace(options.pairs, exhaustive=n))
-        known = nothing
-    chosen = choose_pairs(database, photos, known, options)
-    lost = {k - 1 for k in failed}
-    pairs = tuple(pair for pair in chosen.pairs if not lost & set(pair))
-    return PairSelection(pairs, chosen.how)
 
 
 @dataclass(frozen=True, eq=False)
