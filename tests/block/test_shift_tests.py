@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -30,10 +31,14 @@ def test_the_same_as_with_the_shift_as_an_unknown():
     network, strips = _shifted(3, (0.02, -0.01, 0.05), control=3)
     plain = adjust_block(network, PRIOR)
     tests = shift_tests(plain, strips)
-    assert [test.strip for test in tests] == [0, 1, 2, -1]
+    assert [(test.kind, test.strip) for test in tests] == [
+        ("strip", 0), ("strip", 1), ("strip", 2), ("mount", 0), ("all", -1),
+    ]  # fmt: skip
     for test in tests:
-        of = np.zeros(15, int) if test.strip < 0 else np.where(strips == test.strip, 0, -1)
+        of = np.zeros(15, int) if test.kind == "all" else np.where(strips == test.strip, 0, -1)
         unknown = replace(network.positions, strip=of, shift=True)
+        if test.kind == "mount":
+            unknown = replace(network.positions, lever_arm_sigma=math.inf)
         again = adjust_block(replace(network, positions=unknown), PRIOR)
         np.testing.assert_allclose(test.shift, again.shared[-3:], atol=2e-4)
         np.testing.assert_allclose(test.sigma, again.statistics.shared_sigma[-3:], rtol=2e-3)
@@ -54,7 +59,7 @@ def test_two_strips_without_control_cannot_say_which_and_hardly_see_a_height():
     """A metre of height of one strip turns the block; a metre along it shows, but not in which strip."""
     for height, seen in ((1.0, False), (8.0, True)):
         network, strips = _shifted(2, (0.0, 0.0, height))
-        first, second, every = shift_tests(adjust_block(network, PRIOR), strips)
+        first, second, _, every = shift_tests(adjust_block(network, PRIOR), strips)
         # Eight metres tilt the block so that it is another one.
         assert seen or 1.5 < first.detectable[2] < 6.0
         assert (first.significant, second.significant) == (seen, seen)
@@ -68,23 +73,59 @@ def test_two_strips_without_control_cannot_say_which_and_hardly_see_a_height():
 def test_the_strip_that_is_shifted_stands_out_and_is_told_apart():
     network, strips = _shifted(4, (0.0, 0.0, 1.0))
     tests = shift_tests(adjust_block(network, PRIOR), strips)
-    found = max(tests[:4], key=lambda test: test.statistic)
+    found = max(tests[:5], key=lambda test: test.statistic)
     assert (found.strip, found.alike) == (1, ())
     assert abs(found.shift[2] - 1.0) < 4.0 * found.sigma[2]
     assert max(found.detectable) < 0.2
     np.testing.assert_array_equal(found.photo, np.arange(5, 10))
 
 
+def test_strips_flown_there_and_back_tell_a_lever_arm_from_shifts_of_strips():
+    """An antenna 0.3 m to the side shifts every second strip to the other one: one offset explains all."""
+    block = make_block(columns=5, rows=4, gnss=0.05, control=3)
+    back = np.repeat([0, 1, 0, 1], 5)
+    half_turn = np.diag([-1.0, -1.0, 1.0])
+    rotations = np.where(back[:, None, None] == 1, block.rotations @ half_turn, block.rotations)
+    image = block.network.image
+    cols, rows = block.network.cameras[0].camera.size_px
+    camera = make_block(columns=2, rows=1).network.cameras[0].camera
+    seen = np.einsum(
+        "mji,mj->mi", rotations[image.photo], block.points[image.point] - block.centres[image.photo]
+    )
+    xy, _ = camera.image_from_camera(seen)
+    assert (xy > -300.0).all()
+    assert (xy < (cols + 300.0, rows + 300.0)).all()
+    xy += np.random.default_rng(9001).normal(0.0, 0.5, xy.shape)
+    photographs = block.network.photographs
+    positions = block.network.positions
+    network = replace(
+        block.network,
+        image=replace(image, xy=xy),
+        photographs=replace(photographs, rotations=rotations),
+        positions=replace(positions, xyz=positions.xyz + rotations @ np.array([0.0, 0.3, 0.0])),
+    )
+    tests = shift_tests(adjust_block(network, PRIOR), np.repeat(np.arange(4), 5))
+    best = max(tests, key=lambda test: test.statistic)
+    assert best.kind == "mount"
+    assert best.shift[1] == pytest.approx(0.3, abs=4.0 * best.sigma[1])
+
+
 @pytest.mark.slow
 def test_level_and_power_are_those_stated():
     """120 blocks without a shift, and with one of the size that can be seen: chi-square, and the power."""
     exact, strips = _shifted(3, (0.0, 0.0, 0.0), control=3, noise=0.0)
-    clean = {test.strip: test for test in shift_tests(adjust_block(exact, PRIOR), strips)}
+    clean = {(test.kind, test.strip): test for test in shift_tests(adjust_block(exact, PRIOR), strips)}
     total, found, count = 0.0, 0, 120
     for seed in range(count):
         network, _ = _shifted(3, (0.0, 0.0, 0.0), control=3, noise_seed=9000 + seed)
-        total += {t.strip: t for t in shift_tests(adjust_block(network, PRIOR), strips)}[1].statistic
-        network, _ = _shifted(3, (0.0, 0.0, clean[1].detectable[2]), control=3, noise_seed=9000 + seed)
-        found += {t.strip: t for t in shift_tests(adjust_block(network, PRIOR), strips)}[1].significant
+        total += {(t.kind, t.strip): t for t in shift_tests(adjust_block(network, PRIOR), strips)}[
+            "strip", 1
+        ].statistic
+        network, _ = _shifted(
+            3, (0.0, 0.0, clean["strip", 1].detectable[2]), control=3, noise_seed=9000 + seed
+        )
+        found += {(t.kind, t.strip): t for t in shift_tests(adjust_block(network, PRIOR), strips)}[
+            "strip", 1
+        ].significant
     assert chi2.ppf(0.005, 3 * count) < total < chi2.ppf(0.995, 3 * count)
     assert binom.ppf(0.005, count, 0.8) <= found <= binom.ppf(0.995, count, 0.8)

@@ -48,7 +48,7 @@ def standardized(block: MeasuredBlock, record: dict[str, Any]) -> np.ndarray:
 def test_a_weak_block_says_which_shift_it_could_not_have_seen(two: MeasuredBlock, tmp_path: Path) -> None:
     """Two strips without control: a metre of height of one of them turns the block a little, no more."""
     record = oriented(two, tmp_path, (0.0, 0.0, 1.0), 1)
-    first, second, every = record["navigation"]["shift_tests"]
+    first, second, _, every = record["navigation"]["shift_tests"]
     assert not first["significant"]
     assert not second["significant"]
     assert 1.5 < first["detectable_m"][2] < 4.0
@@ -60,14 +60,14 @@ def test_a_weak_block_says_which_shift_it_could_not_have_seen(two: MeasuredBlock
 
 
 def test_two_strips_that_contradict_each_other_are_both_in_doubt(two: MeasuredBlock, tmp_path: Path) -> None:
-    record = oriented(two, tmp_path, (1.0, 0.0, 0.0), 1)
-    (line,) = [f for f in record["findings"] if "shifted as a whole" in f]
+    """Three metres along the flight: the one strip, the other, or the camera: they fly there and back."""
+    record = oriented(two, tmp_path, (3.0, 0.0, 0.0), 1)
+    (line,) = [f for f in record["findings"] if "contradict each other" in f]
+    assert "strips 1, 2" in line
     assert "nothing in the block tells which" in line
-    (taken,) = record["navigation"]["taken_as_shifted"]
-    assert taken["not_told_from"] == [{"1": "2", "2": "1"}[taken["strip"]]]
     # Half the way between both, and no better than that says.
     assert np.abs(standardized(two, record)).max() < 4.0
-    assert 0.3 < record["photographs"][0]["standard_deviation_m"][0] < 1.5
+    assert 0.5 < record["photographs"][0]["standard_deviation_m"][0] < 4.0
 
 
 def test_a_shifted_strip_is_found_named_and_taken_out_of_the_datum(

@@ -73,7 +73,7 @@ class NavigationGroups:
             self.shift_sigma is not None,
             self.drift_sigma is not None,
             np.array(self.shift_sigma or nothing),
-            self.lever_arm_sigma,
+            np.full(3, self.lever_arm_sigma),
             np.array(self.drift_sigma or nothing),
             self.strip_names,
             self.mount[mine],

@@ -199,7 +199,7 @@ class Positions:
         Whether each strip has an unknown shift, an unknown drift.
     shift_sigma : ndarray, shape (3,) or float
         Standard deviation of the prior (shift is 0), metres; infinite for none.
-    lever_arm_sigma : float
+    lever_arm_sigma : float or ndarray, shape (3,)
         Standard deviation of the lever arm, metres: 0 holds it, infinite says that nothing is known of it.
     drift_sigma : ndarray, shape (3,) or float
         Standard deviation of the prior (drift is 0), metres in a unit of `time`; infinite for none.
@@ -219,7 +219,7 @@ class Positions:
     shift: bool = False
     drift: bool = False
     shift_sigma: Array = field(default_factory=lambda: np.full(3, math.inf))
-    lever_arm_sigma: float = 0.0
+    lever_arm_sigma: Array = field(default_factory=lambda: np.zeros(3))
     drift_sigma: Array = field(default_factory=lambda: np.full(3, math.inf))
     strip_names: tuple[str, ...] = ()
     mount: Integers | None = None
@@ -227,10 +227,12 @@ class Positions:
 
     def __post_init__(self) -> None:
         g = len(self.photo)
-        if not self.lever_arm_sigma >= 0.0:
-            raise InputError(
-                "must not be negative", field="positions.lever_arm_sigma", value=self.lever_arm_sigma
-            )
+        _own(self, "lever_arm_sigma", np.float64, (3,))
+        if not (self.lever_arm_sigma >= 0.0).all():
+            least = float(self.lever_arm_sigma.min())
+            raise InputError("must not be negative", field="positions.lever_arm_sigma", value=least)
+        if (self.lever_arm_sigma > 0.0).any() and not (self.lever_arm_sigma > 0.0).all():
+            raise InputError("must be positive in all axes or zero in all", field="positions.lever_arm_sigma")
         _own(self, "photo", np.int64, (g,))
         _own(self, "xyz", np.float64, (g, 3))
         _own(self, "sigma", np.float64, (g, 3))

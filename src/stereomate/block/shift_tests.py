@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,8 @@ from stereomate.errors import NotDeterminedError
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+Kind = Literal["strip", "all", "mount"]
+
 # Part of a strip's information that must be left for a shift of it to show at all.
 _SEEN: Final = 1e-6
 # Correlation of two shifts from which they are one to the observations.
@@ -43,12 +45,15 @@ class ShiftTest:
 
     Attributes
     ----------
+    kind : {"strip", "all", "mount"}
+        Of the positions of one strip, of all, or of all that have one lever arm, in camera axes.
     strip : int
-        -1: all positions together.
+        Number of the strip or of the mount; -1 for all.
     photo : ndarray of int
         Photographs of the strip.
     shift, sigma : ndarray, shape (3,)
-        Estimated, east, north, up of the tangent frame, metres; NaN where the block says nothing of it.
+        Estimated, east, north, up of the tangent frame (of a mount along the axes of the camera), metres;
+        NaN where the block says nothing of it.
     statistic, limit : float
         Of the test of the shift as a whole; NaN where no direction shows.
     dimension : int
@@ -61,6 +66,7 @@ class ShiftTest:
         Strips whose shift, the other way, would look the same.
     """
 
+    kind: Kind
     strip: int
     photo: Integers
     shift: Array
@@ -74,7 +80,10 @@ class ShiftTest:
 
 
 def shift_tests(adjustment: BlockAdjustment, strips: Integers) -> tuple[ShiftTest, ...]:
-    """Test a shift of each strip, and of all positions together, from an adjustment by least squares.
+    """Test a shift of each strip, of all positions, and of those of one mount along the axes of the camera.
+
+    The last is what a lever arm that is off, or a principal point, does: strips flown there and back are
+    shifted to opposite sides.
 
     Parameters
     ----------
@@ -93,37 +102,48 @@ def shift_tests(adjustment: BlockAdjustment, strips: Integers) -> tuple[ShiftTes
     group = groups_of(prepared.network, prepared.layout, solution.state).get("positions")
     if group is None or adjustment.statistics is None:
         return ()
-    of = strips[group.photo]
-    present = np.unique(of[(of >= 0) & (group.weight > 0.0).any(axis=1)]).tolist()
+    positions = adjustment.network.positions
+    assert positions is not None  # the group is of them
+    assert positions.mount is not None  # filled in by the network
+    of = np.where((group.weight > 0.0).any(axis=1), strips[group.photo], -1)
+    present = np.unique(of[of >= 0]).tolist()
     if not present:
         return ()
-    number = {strip: k for k, strip in enumerate(present)}
-    place = np.array([number.get(int(s), -1) for s in of])
-    w, m = _normal(adjustment, group, place, len(present))
-    information = np.zeros((len(present), 3))
-    inside = place >= 0
-    np.add.at(information, place[inside], group.weight[inside])
+    place = np.array([present.index(s) if s >= 0 else -1 for s in of.tolist()])
+    mounts = np.unique(positions.mount).tolist()
+    mount = np.array([mounts.index(m) for m in positions.mount.tolist()])
+    turns = solution.state.rotations[group.photo]
+    count = len(present)
+    every = np.concatenate([place, count + mount])
+    axes = np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns])
+    w, m, information = _normal(adjustment, group, every, axes, count + len(mounts))
     scale = max(adjustment.statistics.scale, 1.0)
     tests = []
-    for strip, k in number.items():
+    for k in range(count + len(mounts)):
         rows = slice(3 * k, 3 * k + 3)
         found = _test(adjustment, w[rows], m[rows, rows], information[k], scale)
-        photo = group.photo[place == k]
-        alike = tuple(present[j] for j in _alike(found[0], m, information, k)) if found[-1] else ()
-        tests.append(_named(strip, photo, found, alike))
-    if len(present) > 1:
-        every = np.tile(np.eye(3), len(present))
-        found = _test(adjustment, every @ w, every @ m @ every.T, information.sum(axis=0), scale)
-        tests.append(_named(-1, group.photo[inside], found, ()))
+        if k >= count:
+            tests.append(_named("mount", mounts[k - count], group.photo[mount == k - count], found, ()))
+            continue
+        alike = tuple(present[j] for j in _alike(found[0], m, information[:count], k)) if found[-1] else ()
+        tests.append(_named("strip", present[k], group.photo[place == k], found, alike))
+    if count > 1:
+        total = np.tile(np.eye(3), count)
+        inner = slice(0, 3 * count)
+        summed = information[:count].sum(axis=0)
+        found = _test(adjustment, total @ w[inner], total @ m[inner, inner] @ total.T, summed, scale)
+        tests.append(_named("all", -1, group.photo[place >= 0], found, ()))
     return tuple(tests)
 
 
 _Found = tuple[Array, Array, float, float, int, Array, bool]
 
 
-def _named(strip: int, photo: Integers, found: _Found, alike: tuple[int, ...]) -> ShiftTest:
+def _named(kind: Kind, strip: int, photo: Integers, found: _Found, alike: tuple[int, ...]) -> ShiftTest:
     shift, sigma, statistic, limit, dimension, detectable, significant = found
-    return ShiftTest(strip, photo, shift, sigma, statistic, limit, dimension, significant, detectable, alike)
+    return ShiftTest(
+        kind, strip, photo, shift, sigma, statistic, limit, dimension, significant, detectable, alike
+    )
 
 
 def _test(adjustment: BlockAdjustment, w: Array, m: Array, information: Array, scale: float) -> _Found:
@@ -181,21 +201,40 @@ def _alike(shift: Array, m: Array, information: Array, k: int) -> list[int]:
     return found
 
 
-def _normal(adjustment: BlockAdjustment, group: Group, place: Integers, count: int) -> tuple[Array, Array]:
-    """``Cᵀ P v`` (3 s,) and ``Cᵀ P Q_vv P C`` (3 s, 3 s) of the shifts of all strips."""
+def _normal(
+    adjustment: BlockAdjustment, group: Group, place: Integers, axes: Array, count: int
+) -> tuple[Array, Array, Array]:
+    """``Cᵀ P v`` (3 s,), ``Cᵀ P Q_vv P C`` (3 s, 3 s) of all shifts, and the diagonal of ``Cᵀ P C`` (s, 3).
+
+    `place`, `axes`: of each observation, once or several times over, its shift and the axes of that.
+    """
     solution = adjustment.solution
     prepared = solution.prepared
     n, q = len(solution.state.centres), len(prepared.layout.names)
     photos, shared = np.zeros((3 * count, n, 6)), np.zeros((3 * count, q))
     w, m = np.zeros(3 * count), np.zeros((3 * count, 3 * count))
-    for row in np.flatnonzero(place >= 0).tolist():
-        at = 3 * int(place[row])
-        k, weight = int(group.photo[row]), group.weight[row]
-        w[at : at + 3] += weight * group.residual[row]
-        m[range(at, at + 3), range(at, at + 3)] += weight
-        photos[at : at + 3, k] += weight[:, None] * group.by_photo[row]
-        mine = group.columns[row] >= 0
-        shared[at : at + 3, group.columns[row][mine]] += weight[:, None] * group.by_shared[row][:, mine]
+    rows_of = [np.flatnonzero(place == k) for k in range(count)]
+    g = len(group.photo)
+    # What two shifts have in common of the observations themselves: those of strips and mounts overlap.
+    own = np.zeros((count, g, 3, 3))
+    for k, entries in enumerate(rows_of):
+        own[k, entries % g] = axes[entries]
+    taken = own.any(axis=(2, 3)).astype(np.float64)
+    common: NDArray[np.bool_] = np.asarray(np.matmul(taken, taken.T) > 0.0)
+    for k in range(count):
+        at = slice(3 * k, 3 * k + 3)
+        weighted = np.einsum("gij,gi->gji", own[k], group.weight)
+        w[at] = np.einsum("gji,gi->j", weighted, group.residual)
+        for j in np.flatnonzero(common[k]).tolist():
+            m[at, 3 * j : 3 * j + 3] = np.einsum("gji,gik->jk", weighted, own[j])
+        by_photo = np.einsum("gji,gia->gja", weighted, group.by_photo)
+        for x in range(3):
+            np.add.at(photos[3 * k + x], group.photo, by_photo[:, x])
+        by_shared = np.einsum("gji,gis->gjs", weighted, group.by_shared)
+        here = group.columns >= 0
+        for x in range(3):
+            np.add.at(shared[3 * k + x], group.columns[here], by_shared[:, x][here])
+    information = np.diag(m).reshape(count, 3).copy()
     equations = build(prepared, solution.state, solution.start)
     factored = factor(prepared, equations)
     if factored.singular >= 0:
@@ -209,7 +248,7 @@ def _normal(adjustment: BlockAdjustment, group: Group, place: Integers, count: i
         rest = shared - half @ factored.half.T
         solved, _ = dpotrs(factored.corner, np.asfortranarray(rest.T), lower=1)
         m -= rest @ solved
-    return w, 0.5 * (m + m.T)
+    return w, 0.5 * (m + m.T), information
 
 
 __all__ = ["ShiftTest", "noncentrality", "shift_tests"]

@@ -152,11 +152,12 @@ def layout_of(network: Network) -> Layout:
                 names += [f"strip {positions.strip_name(strip)}: {what} {axis}" for axis in _AXES]
                 sigma += getattr(positions, f"{what}_sigma").tolist()
     lever_arm = boresight = np.full(1, -1)
-    if positions is not None and positions.lever_arm_sigma > 0.0:
+    if positions is not None and (positions.lever_arm_sigma > 0.0).any():
         lever_arm = _of_mounts(positions, "lever arm", positions.lever_arm_sigma, names, sigma)
     attitudes = network.attitudes
     if attitudes is not None and attitudes.boresight:
-        boresight = _of_mounts(attitudes, "boresight", attitudes.boresight_sigma, names, sigma)
+        prior = np.full(3, attitudes.boresight_sigma)
+        boresight = _of_mounts(attitudes, "boresight", prior, names, sigma)
     return Layout(
         tuple(names),
         np.array(first, dtype=np.int64),
@@ -172,7 +173,7 @@ def layout_of(network: Network) -> Layout:
 
 
 def _of_mounts(
-    part: Positions | Attitudes, what: str, prior: float, names: list[str], sigma: list[float]
+    part: Positions | Attitudes, what: str, prior: Array, names: list[str], sigma: list[float]
 ) -> Integers:
     """Columns of what the observations of a mount share; names and priors are added."""
     assert part.mount is not None  # filled in by the network
@@ -184,7 +185,7 @@ def _of_mounts(
         if len(present) > 1:
             label += f" of {part.mount_names[mount] if mount < len(part.mount_names) else mount}"
         names += [f"{label} {axis}" for axis in _AXES]
-        sigma += [prior] * 3
+        sigma += prior.tolist()
     return columns
 
 

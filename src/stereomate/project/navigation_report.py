@@ -48,8 +48,12 @@ def _tests(navigation: Mapping[str, Any]) -> Table:
     members = {entry["name"]: entry["photographs"] for entry in navigation["strips"]}
     rows = []
     for test in navigation["shift_tests"]:
-        photos = members.get(test["strip"])
-        name = "all positions" if photos is None else f"{test['strip']}: {photos[0]} to {photos[-1]}"
+        name = "all positions"
+        if test["kind"] == "strip":
+            photos = members[test["strip"]]
+            name = f"{test['strip']}: {photos[0]} to {photos[-1]}"
+        elif test["kind"] == "mount":
+            name = f"all of {test['strip']}, along the camera's axes x, y, z"
         word = "significant" if test["significant"] else "no"
         if test["statistic"] is None:
             word = "cannot show"

@@ -47,9 +47,15 @@ def strips_record(
     }
 
 
+def _name(groups: NavigationGroups, test: ShiftTest) -> str:
+    names = groups.mount_names if test.kind == "mount" else groups.strip_names
+    return "all" if test.kind == "all" else names[test.strip]
+
+
 def _test_record(groups: NavigationGroups, test: ShiftTest) -> dict[str, Any]:
     return {
-        "strip": "all" if test.strip < 0 else groups.strip_names[test.strip],
+        "kind": test.kind,
+        "strip": _name(groups, test),
         "positions": len(test.photo),
         "shift_m": numbers(test.shift),
         "standard_deviation_m": numbers(test.sigma),
@@ -132,22 +138,32 @@ def strip_findings(record: dict[str, Any] | None, sigma_m: Sequence[float]) -> l
     members = {entry["name"]: entry["photographs"] for entry in record["strips"]}
     for test in record["taken_as_shifted"]:
         size = ", ".join("-" if v is None else f"{v:+.3f}" for v in test["shift_m"])
-        photos = members[test["strip"]]
-        line = (
-            f"positions of strip {test['strip']} ({photos[0]} to {photos[-1]}) are shifted as a whole "
-            f"against the rest by {size} m (east, north, up)"
-        )
-        if test["not_told_from"]:
-            others = ", ".join(test["not_told_from"])
-            line += (
-                f", or those of strip {others} the other way: nothing in the block tells which; each of them "
-                "got a shift of its own, of a standard deviation as large as the contradiction"
+        if test["kind"] == "mount" and not test["not_told_from"]:
+            lines.append(
+                f"positions of all photographs of {test['strip']} are off by {_with_sigma(test)} m along the "
+                "axes of the camera (x right, y up, z back), to opposite sides in strips flown there and "
+                "back: a lever arm (orient.lever_arm_m), a principal point, or parameters of the lens that "
+                "are found while the principal point is held; what shows of it was found with the block"
             )
-        else:
-            line += "; its shift was found with the block, orient.strip_shift_sigma_m does so for all strips"
-        lines.append(line)
+            continue
+        if test["not_told_from"]:
+            others = [*([test["strip"]] if test["kind"] == "strip" else []), *test["not_told_from"]]
+            axes = "along the axes of the camera" if test["kind"] == "mount" else "east, north, up"
+            lines.append(
+                f"positions of strips {', '.join(others)} contradict each other by {_with_sigma(test)} m "
+                f"({axes}): nothing in the block tells which of them is shifted, or whether the camera is off (a lever "
+                "arm, a principal point, a lens found while that is held); each strip got a shift of its own, "
+                "of a standard deviation as large as the contradiction"
+            )
+            continue
+        photos = members[test["strip"]]
+        lines.append(
+            f"positions of strip {test['strip']} ({photos[0]} to {photos[-1]}) are shifted as a whole "
+            f"against the rest by {size} m (east, north, up); its shift was found with the block, "
+            "orient.strip_shift_sigma_m does so for all strips"
+        )
     for test in record["shift_tests"]:
-        if test["significant"] and test["strip"] != "all":
+        if test["significant"] and test["kind"] == "strip":
             size = ", ".join("-" if v is None else f"{v:+.3f}" for v in test["shift_m"])
             lines.append(
                 f"positions of strip {test['strip']}: a shift of {size} m (east, north, up) fits the block "
@@ -156,11 +172,18 @@ def strip_findings(record: dict[str, Any] | None, sigma_m: Sequence[float]) -> l
     return lines + _unseen(record, sigma_m)
 
 
+def _with_sigma(test: dict[str, Any]) -> str:
+    return ", ".join(
+        "-" if v is None or s is None else f"{v:+.3f} ± {s:.3f}"
+        for v, s in zip(test["shift_m"], test["standard_deviation_m"], strict=True)
+    )
+
+
 def _unseen(record: dict[str, Any], sigma_m: Sequence[float]) -> list[str]:
     """Shifts of a strip that this block could not have shown."""
     weak = []
     for test in record["shift_tests"]:
-        if test["strip"] == "all":
+        if test["kind"] != "strip":
             continue
         sizes = test["detectable_m"]
         if any(v is None or v > _WEAK * s for v, s in zip(sizes, sigma_m, strict=True)):
