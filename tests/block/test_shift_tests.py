@@ -11,8 +11,11 @@ from blocks import make_block
 from scipy.stats import binom, chi2, ncx2
 
 from stereomate.block.adjustment import adjust_block
+from stereomate.block.influence import influences
+from stereomate.block.network import Attitudes
 from stereomate.block.options import BlockOptions
 from stereomate.block.shift_tests import noncentrality, shift_tests
+from stereomate.geometry.rotations import rotation_from_vector
 
 PRIOR = BlockOptions(scale_by="prior")
 
@@ -108,6 +111,43 @@ def test_strips_flown_there_and_back_tell_a_lever_arm_from_shifts_of_strips():
     best = max(tests, key=lambda test: test.statistic)
     assert best.kind == "mount"
     assert best.shift[1] == pytest.approx(0.3, abs=4.0 * best.sigma[1])
+
+
+def test_influence_is_what_an_error_of_that_size_does():
+    """Errors of minimal detectable size, one at a time, in a linear block: the motion of the own unknowns."""
+    block = make_block(columns=4, rows=2, gnss=0.05, control=4, noise=0.0, free={"k1": 1e-3})
+    attitudes = Attitudes(np.arange(8), block.rotations, 2e-4, boresight=True)
+    plain = adjust_block(replace(block.network, attitudes=attitudes), PRIOR)
+    network, s, found = plain.adjusted_network(), plain.statistics, influences(plain)
+    for k, axis in ((1, 0), (3, 2)):
+        size = s.positions.minimal_detectable[k, axis]
+        xyz = network.positions.xyz.copy()
+        xyz[k, axis] += size
+        again = adjust_block(replace(network, positions=replace(network.positions, xyz=xyz)), PRIOR)
+        assert np.linalg.norm(again.centres[k] - plain.centres[k]) == pytest.approx(
+            found.positions[k, axis, 0], rel=0.01
+        )
+        turn = np.arccos((np.trace(again.rotations[k].T @ plain.rotations[k]) - 1.0) / 2.0)
+        assert turn == pytest.approx(found.positions[k, axis, 1], rel=0.02)
+        size = s.control.minimal_detectable[k, axis]
+        xyz = network.control.xyz.copy()
+        xyz[k, axis] += size
+        again = adjust_block(replace(network, control=replace(network.control, xyz=xyz)), PRIOR)
+        point = network.control.point[k]
+        assert np.linalg.norm(again.points[point] - plain.points[point]) == pytest.approx(
+            found.control[k, axis], rel=0.01
+        )
+        error = np.zeros(3)
+        error[axis] = s.attitudes.minimal_detectable[k, axis]
+        turned = network.attitudes.rotations.copy()
+        turned[k] = rotation_from_vector(error) @ turned[k]
+        again = adjust_block(replace(network, attitudes=replace(attitudes, rotations=turned)), PRIOR)
+        turn = np.arccos((np.trace(again.rotations[k].T @ plain.rotations[k]) - 1.0) / 2.0)
+        assert turn == pytest.approx(found.attitudes[k, axis, 1], rel=0.02)
+    prior = s.priors
+    assert found.priors[0] == pytest.approx(
+        (1.0 - prior.redundancy[0, 0]) * prior.minimal_detectable[0, 0], rel=1e-9
+    )
 
 
 @pytest.mark.slow

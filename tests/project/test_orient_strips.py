@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet
 import pytest
 from measured_block import MeasuredBlock, measured_block
 
@@ -64,7 +65,7 @@ def test_two_strips_that_contradict_each_other_are_both_in_doubt(two: MeasuredBl
     record = oriented(two, tmp_path, (3.0, 0.0, 0.0), 1)
     (line,) = [f for f in record["findings"] if "contradict each other" in f]
     assert "strips 1, 2" in line
-    assert "nothing in the block tells which" in line
+    assert "nothing in the block tells which of them is shifted" in line
     # Half the way between both, and no better than that says.
     assert np.abs(standardized(two, record)).max() < 4.0
     assert 0.5 < record["photographs"][0]["standard_deviation_m"][0] < 4.0
@@ -116,6 +117,80 @@ def test_free_shifts_without_control_leave_the_place_open_and_it_is_said(
     assert record["navigation"]["datum_open"] == ["shift x", "shift y", "shift z"]
     assert record["summary"]["oriented"] == 8
     assert any("the shifts of 2 strips have no prior" in line for line in record["findings"])
+
+
+def test_every_observation_is_in_a_table_and_the_whole_covariance_on_request(
+    two: MeasuredBlock, tmp_path: Path
+) -> None:
+    """Control, check points, positions, attitudes, priors: residual to influence; asked and found."""
+    seen = np.bincount([row[0] for row in two.image], minlength=len(two.ground))
+    chosen = np.flatnonzero(seen >= 4)[:9].tolist()
+    rng = np.random.default_rng(9001)
+    rows, marks = ["name,x,y,z,role"], ["point,photograph,col,row,sigma"]
+    for k in chosen:
+        x, y, z = two.ground[k] + rng.normal(0.0, 0.02, 3)
+        rows.append(f"g{k},{x:.3f},{y:.3f},{z:.3f},{'check' if k in chosen[5:] else 'control'}")
+    for point, photo, col, row in two.image:
+        if point in chosen:
+            dx, dy = rng.normal(0.0, 0.2, 2)
+            marks.append(f"g{point},{two.names[photo]},{col + dx:.3f},{row + dy:.3f},0.2")
+    (tmp_path / "gcp.csv").write_text("\n".join(rows), encoding="utf-8")
+    (tmp_path / "marks.csv").write_text("\n".join(marks), encoding="utf-8")
+    more = """[control]
+file = "gcp.csv"
+measurements = "marks.csv"
+sigma_m = [0.02, 0.02, 0.02]
+
+[accuracy]
+horizontal_m = 0.1
+vertical_m = 0.001
+"""
+    positions = two.centres + rng.normal(0.0, 0.05, two.centres.shape)
+    keys = (
+        SIGMA
+        + "attitude_sigma_deg = [0.01, 0.01, 0.02]\nboresight_sigma_deg = 0.05\nfull_covariance = true\n"
+    )
+    path = two.write(tmp_path, positions=positions, orient=keys, more=more)
+    result = orient(path, tmp_path / "out", documents=lambda r: [write_orient_report(r)])
+    assert result.adjusted is not None
+    adjusted = result.adjusted.result
+    assert adjusted.statistics is not None
+    table = pyarrow.parquet.read_table(tmp_path / "out" / "observations.parquet")
+    listed = {name: np.array(column) for name, column in table.to_pydict().items()}
+    kinds, counts = np.unique(listed["kind"], return_counts=True)
+    assert dict(zip(kinds.tolist(), counts.tolist(), strict=True)) == {
+        "attitude": 24, "check": 12, "control": 15, "position": 24, "prior": 3,
+    }  # fmt: skip
+    used = listed["used"].astype(bool)
+    assert used.sum() == 66
+    total = listed["redundancy"][used].astype(float).sum() + np.nansum(adjusted.statistics.image.redundancy)
+    assert total == pytest.approx(adjusted.redundancy, abs=1e-5)
+    for name in ("detectable", "own_shift", "standardized"):
+        assert np.isfinite(listed[name][used].astype(float)).all(), name
+    # What is detected of it moves its own point less than itself.
+    metric = used & (listed["unit"] == "m")
+    assert (
+        listed["own_shift"][metric].astype(float) < 1.5 * listed["detectable"][metric].astype(float)
+    ).all()
+    whole = pyarrow.parquet.read_table(tmp_path / "out" / "full_covariance.parquet").to_pydict()
+    names = whole.pop("unknown")
+    matrix = np.array(list(whole.values()))
+    assert list(whole) == names
+    sigma = np.concatenate([adjusted.statistics.photo_sigma.ravel(), adjusted.statistics.shared_sigma])
+    np.testing.assert_allclose(np.sqrt(np.diag(matrix)), sigma, rtol=1e-6)
+    points = pyarrow.parquet.read_table(tmp_path / "out" / "points.parquet").to_pydict()
+    block = adjusted.statistics.cofactors.points[0] * adjusted.statistics.scale**2
+    assert (points["cxy"][0], points["cxz"][0]) == pytest.approx((block[0, 1], block[0, 2]), rel=1e-9)
+    judged = {entry["what"]: entry for entry in result.record["accuracy"]}
+    assert judged["horizontal"]["met"]
+    assert judged["vertical"]["met"] is False
+    page = (tmp_path / "out" / "orient.html").read_text(encoding="utf-8")
+    assert "Asked: vertical 0.001 m" in page
+    assert "NOT met" in page
+    (boresight,) = [
+        entry for entry in result.record["navigation"]["unknowns"] if entry["what"] == "boresight"
+    ]
+    assert boresight["significant"] is False
 
 
 def test_groups_that_name_nothing_or_a_photograph_twice_are_refused(

@@ -21,6 +21,12 @@ from stereomate.project.orient_adjust import Adjusted
 from stereomate.project.orient_covariance import covariance_of
 from stereomate.project.orient_inputs import OrientInputs
 from stereomate.project.orient_layers import LAYERS, write_orient_layers
+from stereomate.project.orient_observations import (
+    OBSERVATIONS,
+    WHOLE,
+    write_observations,
+    write_whole_covariance,
+)
 from stereomate.project.orient_photos import scan_pixels
 from stereomate.project.orient_record import OrientedPhotos
 from stereomate.project.orient_surface import SURFACE, write_tie_surface
@@ -33,7 +39,9 @@ Array = NDArray[np.float64]
 ORIENTATION: Final = "orientation.csv"
 ADJUSTMENT: Final = "adjustment.json"
 ORIENTED: Final = "oriented.toml"
-TABLES: Final = ("photographs.parquet", "points.parquet", "image_points.parquet", "pairs.parquet")
+TABLES: Final = (
+    "photographs.parquet", "points.parquet", "image_points.parquet", "pairs.parquet", OBSERVATIONS,
+)  # fmt: skip
 
 _MEANINGS: Final = {
     "x": "map coordinate of the project (of the model without a datum)",
@@ -45,6 +53,9 @@ _MEANINGS: Final = {
     "sx": "standard deviation along the tangent frame's x axis, metres",
     "sy": "standard deviation along the tangent frame's y axis, metres",
     "sz": "standard deviation along the tangent frame's z axis, metres",
+    "cxy": "covariance of x and y, tangent frame, square metres",
+    "cxz": "covariance of x and z",
+    "cyz": "covariance of y and z",
     "col": "measured column, pixels from the outer corner of the first one",
     "row": "measured row",
     "residual_col": "observed minus computed, pixels",
@@ -131,6 +142,10 @@ def _tables(
     columns = {"name": list(result.network.points.names)}
     columns |= dict(zip("xyz", points.T, strict=True))
     columns |= dict(zip(("sx", "sy", "sz"), spread.T, strict=True))
+    cofactors = np.full((len(points), 3, 3), math.nan)
+    if statistics is not None:
+        cofactors = statistics.scale**2 * statistics.cofactors.points
+    columns |= {f"c{a}{b}": cofactors[:, "xyz".index(a), "xyz".index(b)] for a, b in ("xy", "xz", "yz")}
     columns["rays"] = np.bincount(image.point[result.used], minlength=len(points))
     write_parquet(out / TABLES[1], columns, _MEANINGS)
     columns = {
@@ -157,7 +172,12 @@ def _tables(
     columns["points"] = np.array([pair["points"] for pair in parallaxes], dtype=np.int64)
     columns["rms_px"] = np.array([pair["rms_px"] for pair in parallaxes], dtype=np.float64)
     write_parquet(out / TABLES[3], columns, _MEANINGS)
-    return [out / name for name in TABLES]
+    write_observations(out / OBSERVATIONS, result)
+    (out / WHOLE).unlink(missing_ok=True)
+    whole = []
+    if inputs.file.orient.full_covariance:
+        whole.append(write_whole_covariance(out / WHOLE, result))
+    return [out / name for name in TABLES] + whole
 
 
 def oriented_project(

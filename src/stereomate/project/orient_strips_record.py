@@ -150,10 +150,10 @@ def strip_findings(record: dict[str, Any] | None, sigma_m: Sequence[float]) -> l
             others = [*([test["strip"]] if test["kind"] == "strip" else []), *test["not_told_from"]]
             axes = "along the axes of the camera" if test["kind"] == "mount" else "east, north, up"
             lines.append(
-                f"positions of strips {', '.join(others)} contradict each other by {_with_sigma(test)} m "
-                f"({axes}): nothing in the block tells which of them is shifted, or whether the camera is off (a lever "
-                "arm, a principal point, a lens found while that is held); each strip got a shift of its own, "
-                "of a standard deviation as large as the contradiction"
+                f"positions of strips {', '.join(others)} contradict each other by "
+                f"{_with_sigma(test)} m ({axes}): nothing in the block tells which of them is shifted, or "
+                "whether the camera is off (a lever arm, a principal point, a lens found while that is "
+                "held); each strip got a shift of its own, as uncertain as the contradiction is large"
             )
             continue
         photos = members[test["strip"]]

@@ -182,6 +182,7 @@ class OrientSection(Section):
     power: Annotated[float, Field(gt=0, lt=1)] = 0.80
     robust: Literal["snooping", "l1", "huber", "none"] = "snooping"
     variance_components: bool = False
+    full_covariance: bool = False
 
 
 class SurfaceSection(Section):
