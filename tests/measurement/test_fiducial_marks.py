@@ -116,11 +116,14 @@ def test_marks_of_another_scan_turned_a_little_and_beside_other_things(kind) -> 
 
     first = np.array([22.3, 21.6])
     crop, centre = painted_scan(first, 0.0)[3:41, 3:41], (first - 3.0).tolist()
+    drawn = drawn_mark(kind, 0.96 * size, 4.2)
     errors = []
     for _ in range(25):
         truth = np.array([22.0, 22.0]) + rng.uniform(-0.9, 0.9, 2)
         scan = painted_scan(truth, rng.uniform(-1.0, 1.0))
         errors.append(np.subtract(fitted_centre(crop, (centre[0], centre[1]), scan, 3.0, 3.0), truth))
+        start = np.round(truth - drawn.centre_px).tolist()
+        errors.append(np.subtract(fitted_centre(drawn.picture, drawn.centre_px, scan, *start), truth))
     assert np.abs(errors).max() < 0.2
     assert np.sqrt(np.mean(np.square(errors))) < 0.07
 

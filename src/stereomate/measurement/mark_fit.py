@@ -23,6 +23,8 @@ _LARGEST_RADIUS: Final = 20
 _SMOOTHING: Final = 0.7
 _EDGE: Final = 4
 _HUBER: Final = 2.0
+# Standard deviation of scale and turn before a fit: films are laid by hand.
+_PRIOR: Final = 0.02
 _STEPS: Final = 30
 _LAST_STEP: Final = 1e-3
 # Pixels from the start, and turn (or change of scale) beyond which it is not the mark.
@@ -101,7 +103,7 @@ def _whole(template: Picture, centre_px: Point, part: Picture, col: float, row: 
             seen,
         )
         equations = np.stack(columns, axis=-1)[inner].reshape(-1, 7).astype(np.float64)
-        step = _robust(equations[:, :6], -equations[:, 6])
+        step = _robust(equations[:, :6], -equations[:, 6], turn - (1.0, 0.0))
         shift, turn = shift + step[:2], turn + step[2:4]
         if not (np.abs(shift - (col, row)).max() <= _FURTHEST and np.hypot(*(turn - (1.0, 0.0))) <= _TURNED):
             return col + centre_px[0], row + centre_px[1]
@@ -110,13 +112,20 @@ def _whole(template: Picture, centre_px: Point, part: Picture, col: float, row: 
     return float(shift[0]) + centre_px[0], float(shift[1]) + centre_px[1]
 
 
-def _robust(design: Array, observed: Array) -> Array:
-    """Least squares, once more with weights that fall off for what does not fit (Huber's)."""
+def _robust(design: Array, observed: Array, turn: Array) -> Array:
+    """Least squares, once more with weights that fall off for what does not fit (Huber's).
+
+    Scale and turn have a prior, for pictures that do not tell them.
+    """
     found = np.linalg.lstsq(design, observed, rcond=None)[0]
     misfit = np.abs(design @ found - observed)
-    limit = max(_HUBER * 1.4826 * float(np.median(misfit)), 1e-6)
-    root = np.sqrt(limit / np.maximum(misfit, limit))
-    return np.asarray(np.linalg.lstsq(design * root[:, None], observed * root, rcond=None)[0], np.float64)
+    noise = max(1.4826 * float(np.median(misfit)), 1e-6)
+    root = np.sqrt(_HUBER * noise / np.maximum(misfit, _HUBER * noise))
+    prior = np.zeros((2, design.shape[1]))
+    prior[0, 2] = prior[1, 3] = noise / _PRIOR
+    design = np.concatenate([design * root[:, None], prior])
+    observed = np.concatenate([observed * root, -turn * noise / _PRIOR])
+    return np.asarray(np.linalg.lstsq(design, observed, rcond=None)[0], np.float64)
 
 
 def _parts(length: int, radius: int) -> Array:

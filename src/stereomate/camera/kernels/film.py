@@ -110,10 +110,24 @@ def film_limit(p: Array, reach: float, radii: int, directions: int) -> float:
 
 @kernel
 def film_row(parameters: Array, column: Array, row: Array, inside: Flags) -> None:
-    """`pixel_of_film` over 1-D arrays that hold film coordinates and take the pixels."""
+    """`pixel_of_film` over 1-D arrays that hold film coordinates and take the pixels; vectorised."""
     p = parameters
+    b1, b2, b3, b4, b5, b6 = p[F], p[F + 1], p[F + 2], p[F + 3], p[F + 4], p[F + 5]
+    b7, b8, b9, b10, b11, b12 = p[F + 6], p[F + 7], p[F + 8], p[F + 9], p[F + 10], p[F + 11]
+    m0, m1, m2, m3, m4, m5 = p[A], p[A + 1], p[A + 2], p[A + 3], p[A + 4], p[A + 5]
+    q0, q1, limit, half_x, half_y = p[Q], p[Q + 1], p[F_R2_MAX], p[HALF], p[HALF + 1]
+    columns, rows = p[COLUMNS], p[ROWS]
     for i in range(column.shape[0]):
-        column[i], row[i], inside[i] = pixel_of_film(p, column[i], row[i])
+        u, v = column[i], row[i]
+        su, sv, uv = u * u - _MEAN, v * v - _MEAN, u * v
+        x = u + b1 * u + b2 * v - 2.0 * b3 * su + b4 * uv + sv * (b5 + b7 * u + b11 * su) + b9 * v * su
+        y = v - b1 * v + b2 * u + b3 * uv - 2.0 * b4 * sv + su * (b6 + b8 * v + b12 * sv) + b10 * u * sv
+        w = 1.0 + q0 * x + q1 * y
+        w = 1.0 / w if (w > 0.0) & (u * u + v * v <= limit) else np.nan
+        c, r = (m0 * x + m1 * y + m2) * w, (m3 * x + m4 * y + m5) * w
+        column[i], row[i] = c, r
+        on = (c >= 0.0) & (c < columns) & (r >= 0.0) & (r < rows)
+        inside[i] = on & (abs(x) <= half_x) & (abs(y) <= half_y)
 
 
 @kernel
