@@ -12,8 +12,8 @@ from typing import Final
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
-from scipy.linalg.blas import dsymm
-from scipy.linalg.lapack import dpotri, dtrtri, dtrtrs
+from scipy.linalg.blas import dsymm, dtrsm
+from scipy.linalg.lapack import dpotri, dtrtri
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -55,19 +55,22 @@ def selected_inverse(factor: Array, skew: int) -> Array:
         size = min(block, n - first)
         below = min(n - first - size, width - 1)
         inside = _within(size, size + below, width)
-        part = np.where(inside, _rows(factor, first, size, size + below), 0.0)
-        upper = part[:, :size]
-        root, _ = dtrtri(upper, lower=0)
-        target = np.empty((size, size + below))
-        corner = root @ root.T
+        stored, own = _rows(factor, first, size, size + below), inside[:, :size]
+        upper = np.where(own, stored[:, :size], 0.0)
+        root, _ = dtrtri(upper.T, lower=1)
+        corner = root.T @ root
         if below:
-            y, _ = dtrtrs(upper, part[:, size:], lower=0)
+            # As LAPACK lays matrices out: transposed, so that nothing is copied on the way.
+            y = dtrsm(
+                1.0, upper.T, np.where(inside[:, size:], stored[:, size:], 0.0).T, side=1, lower=1,
+                overwrite_b=1,
+            )  # fmt: skip
             # Only the upper triangle is right, and only that is read.
             window = space[: below * below].reshape(below, below)
             window[:] = _rows(inverse, first + size, below, below)
-            target[:, size:] = dsymm(-1.0, window.T, y, side=1, lower=1)
-            corner -= target[:, size:] @ y.T
-        target[:, :size] = corner
-        np.copyto(_rows(inverse, first, size, size + below), target, where=inside)
+            across = dsymm(-1.0, window.T, y, side=0, lower=1)
+            corner -= across.T @ y
+            np.copyto(_rows(inverse, first, size, size + below)[:, size:], across.T, where=inside[:, size:])
+        np.copyto(_rows(inverse, first, size, size), corner, where=own)
         first -= block
     return inverse

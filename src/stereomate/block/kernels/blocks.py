@@ -24,16 +24,20 @@ def lower(inverse: Array, skew: int, i: int, j: int) -> float:
 @kernel
 def photo_blocks(inverse: Array, skew: int, place: Indices, out: Array) -> None:
     """6x6 blocks on the diagonal into `out` (n, 6, 6), photographs in their own order."""
+    flat, stride = inverse.reshape(inverse.size), np.uint64(inverse.shape[1] - skew)
     for k in range(place.shape[0]):
-        own_block(inverse, skew, 6 * place[k], out[k])
+        own_block(flat, stride, 6 * place[k], out[k])
 
 
 @inline_kernel
-def own_block(inverse: Array, skew: int, at: int, out: Array) -> None:
-    """6x6 block on the diagonal into `out`."""
+def own_block(flat: Array, stride: np.uint64, at: int, out: Array) -> None:
+    """6x6 block on the diagonal into `out`; entry (i, j), i >= j, lies at ``flat[j * stride + i]``."""
+    # Unsigned indices need no look at whether they count from the end.
+    o = np.uint64(at) * stride + np.uint64(at)
     for b in range(6):
         for a in range(b, 6):
-            out[a, b] = out[b, a] = inverse[at + b, at + a - skew * (at + b)]
+            out[a, b] = out[b, a] = flat[o + np.uint64(a)]
+        o += stride
 
 
 @kernel

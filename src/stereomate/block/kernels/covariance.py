@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.block.kernels.blocks import own_block
+from stereomate.block.kernels.motions import moved, photos_of_point
 from stereomate.block.kernels.normal import loss_factor
 from stereomate.block.kernels.projection import (
     by_entries,
@@ -23,6 +24,7 @@ from stereomate.block.kernels.small import (
     Six,
     nine_of,
     seen_at,
+    set_six,
     six_of,
     symmetric_vector,
     three_of,
@@ -36,106 +38,14 @@ Indices = NDArray[np.int64]
 
 
 @inline_kernel
-def _moved(block: Array, d: Array, e: Array, by_first: Array, by_second: Array, motions: Array) -> None:
-    """Covariances of motions: of two photographs with the 6x6 covariance `block`, that see a point at d, e.
-
-    `by_first` (6, 3): unknowns of the first with the motion by the second; `by_second` (6, 3): unknowns
-    of the second with the motion by the first; `motions` (3, 3): of the two motions.
-    """
-    dx, dy, dz = d[0], d[1], d[2]
-    ex, ey, ez = e[0], e[1], e[2]
-    for r in range(6):
-        b3, b4, b5 = block[r, 3], block[r, 4], block[r, 5]
-        by_first[r, 0] = ey * b5 - ez * b4 - block[r, 0]
-        by_first[r, 1] = ez * b3 - ex * b5 - block[r, 1]
-        by_first[r, 2] = ex * b4 - ey * b3 - block[r, 2]
-    for r in range(6):
-        b3, b4, b5 = block[3, r], block[4, r], block[5, r]
-        by_second[r, 0] = dy * b5 - dz * b4 - block[0, r]
-        by_second[r, 1] = dz * b3 - dx * b5 - block[1, r]
-        by_second[r, 2] = dx * b4 - dy * b3 - block[2, r]
-    for x in range(3):
-        b3, b4, b5 = by_first[3, x], by_first[4, x], by_first[5, x]
-        motions[0, x] = dy * b5 - dz * b4 - by_first[0, x]
-        motions[1, x] = dz * b3 - dx * b5 - by_first[1, x]
-        motions[2, x] = dx * b4 - dy * b3 - by_first[2, x]
-
-
-@inline_kernel
-def _minus(rows: int, left: Array, right: Array, out: Array) -> None:
-    """Subtract ``left rightᵀ`` of (rows, 3) and (3, 3)."""
-    for r in range(rows):
-        a, b, c = left[r, 0], left[r, 1], left[r, 2]
-        out[r, 0] -= a * right[0, 0] + b * right[0, 1] + c * right[0, 2]
-        out[r, 1] -= a * right[1, 0] + b * right[1, 1] + c * right[1, 2]
-        out[r, 2] -= a * right[2, 0] + b * right[2, 1] + c * right[2, 2]
-
-
-@inline_kernel
-def _minus_turned(left: Array, right: Array, out: Array) -> None:
-    """Subtract ``leftᵀ rightᵀ`` of 3x3 matrices."""
-    for r in range(3):
-        a, b, c = left[0, r], left[1, r], left[2, r]
-        out[r, 0] -= a * right[0, 0] + b * right[0, 1] + c * right[0, 2]
-        out[r, 1] -= a * right[1, 0] + b * right[1, 1] + c * right[1, 2]
-        out[r, 2] -= a * right[2, 0] + b * right[2, 1] + c * right[2, 2]
-
-
-@inline_kernel
-def _photos_of_point(
-    rows: int,
-    photo: Indices,
-    place: Indices,
-    d: Array,
-    u: Array,
-    skew: int,
-    inverse: Array,
-    photo_point: Array,
-    motion_point: Array,
-    motion: Array,
-) -> None:
-    """Part of the photographs in what they have to do with the point.
-
-    `photo_point` (rays, 6, 3), of it the first `rows`: unknowns of a photograph with the point;
-    `motion_point` (rays, 3, 3): its motion with the point; `motion` (rays, 3, 3): its motion.
-    """
-    block, by_first, by_second, motions = (
-        np.empty((6, 6)),
-        np.empty((6, 3)),
-        np.empty((6, 3)),
-        np.empty((3, 3)),
-    )
-    # Unsigned indices need no look at whether they count from the end.
-    flat, stride = inverse.reshape(inverse.size), np.uint64(inverse.shape[1] - skew)
-    for a in range(photo.shape[0]):
-        at = 6 * place[photo[a]]
-        own_block(inverse, skew, at, block)
-        _moved(block, d[a], d[a], by_first, by_second, motion[a])
-        photo_point[a] = 0.0
-        motion_point[a] = 0.0
-        _minus(rows, by_first, u[a], photo_point[a])
-        _minus(3, motion[a], u[a], motion_point[a])
-        for b in range(a):
-            before = 6 * place[photo[b]]
-            o = np.uint64(before) * stride + np.uint64(at)
-            for e in range(6):
-                for r in range(6):
-                    block[r, e] = flat[o + np.uint64(r)]
-                o += stride
-            _moved(block, d[a], d[b], by_first, by_second, motions)
-            _minus(rows, by_first, u[b], photo_point[a])
-            _minus(rows, by_second, u[a], photo_point[b])
-            _minus(3, motions, u[b], motion_point[a])
-            _minus_turned(motions, u[a], motion_point[b])
-
-
-@inline_kernel
 def _shared_of_point(
     rows: int,
+    rays: int,
     photo: Indices,
     place: Indices,
     d: Array,
     u: Array,
+    count: int,
     columns: Indices,
     s: Array,
     photo_shared: Array,
@@ -149,15 +59,15 @@ def _shared_of_point(
 
     Written: `motion_shared` (rays, columns, 3), `shared_point` (columns, 3).
     """
-    for f in range(columns.shape[0]):
+    for f in range(count):
         column = columns[f]
         p0 = p1 = p2 = 0.0
-        for g in range(columns.shape[0]):
+        for g in range(count):
             q = shared[column, columns[g]]
             p0 -= q * s[g, 0]
             p1 -= q * s[g, 1]
             p2 -= q * s[g, 2]
-        for a in range(photo.shape[0]):
+        for a in range(rays):
             at = 6 * place[photo[a]]
             b3, b4, b5 = (
                 photo_shared[at + 3, column],
@@ -168,10 +78,9 @@ def _shared_of_point(
             m1 = d[a, 2] * b3 - d[a, 0] * b5 - photo_shared[at + 1, column]
             m2 = d[a, 0] * b4 - d[a, 1] * b3 - photo_shared[at + 2, column]
             motion_shared[a, f, 0], motion_shared[a, f, 1], motion_shared[a, f, 2] = m0, m1, m2
-            w = u[a]
-            p0 -= w[0, 0] * m0 + w[0, 1] * m1 + w[0, 2] * m2
-            p1 -= w[1, 0] * m0 + w[1, 1] * m1 + w[1, 2] * m2
-            p2 -= w[2, 0] * m0 + w[2, 1] * m1 + w[2, 2] * m2
+            p0 -= u[a, 0, 0] * m0 + u[a, 0, 1] * m1 + u[a, 0, 2] * m2
+            p1 -= u[a, 1, 0] * m0 + u[a, 1, 1] * m1 + u[a, 1, 2] * m2
+            p2 -= u[a, 2, 0] * m0 + u[a, 2, 1] * m1 + u[a, 2, 2] * m2
             for x in range(3):
                 motion_point[a, 0, x] -= m0 * s[f, x]
                 motion_point[a, 1, x] -= m1 * s[f, x]
@@ -212,9 +121,11 @@ def _point_covariance(
 
 @inline_kernel
 def _of_observation(
+    i: int,
+    a: int,
     by_point: Array,
     by_camera: Array,
-    weight: Array,
+    weights: Array,
     first: int,
     free: int,
     at: int,
@@ -232,49 +143,49 @@ def _of_observation(
     on_point: Array,
     on_photo: Array,
 ) -> None:
-    """Variance of the two computed coordinates, and what an error of them does to point and centre.
+    """Variance of both computed coordinates of observation `i`, and what an error of them does.
 
-    `own` (6, 3): the photograph's unknowns with its own motion; `column`: where its camera's unknowns stand
-    among those of the point.
+    It is ray `a` of its point. `own` (1, 6, 3): the photograph's unknowns with its own motion;
+    `column`: where its camera's unknowns stand among those of the point.
     """
     for s in range(2):
-        a0, a1, a2 = by_point[s, 0], by_point[s, 1], by_point[s, 2]
+        a0, a1, a2 = by_point[a, s, 0], by_point[a, s, 1], by_point[a, s, 2]
         total = 0.0
         for x in range(3):
             # The point, and the centre, with the computed coordinate.
             to_point = (
-                (qx[x, 0] + motion_point[0, x]) * a0
-                + (qx[x, 1] + motion_point[1, x]) * a1
-                + (qx[x, 2] + motion_point[2, x]) * a2
+                (qx[x, 0] + motion_point[a, 0, x]) * a0
+                + (qx[x, 1] + motion_point[a, 1, x]) * a1
+                + (qx[x, 2] + motion_point[a, 2, x]) * a2
             )
             to_photo = (
-                (photo_point[x, 0] + own[x, 0]) * a0
-                + (photo_point[x, 1] + own[x, 1]) * a1
-                + (photo_point[x, 2] + own[x, 2]) * a2
+                (photo_point[a, x, 0] + own[0, x, 0]) * a0
+                + (photo_point[a, x, 1] + own[0, x, 1]) * a1
+                + (photo_point[a, x, 2] + own[0, x, 2]) * a2
             )
             to_motion = (
-                (motion_point[x, 0] + motion[x, 0]) * a0
-                + (motion_point[x, 1] + motion[x, 1]) * a1
-                + (motion_point[x, 2] + motion[x, 2]) * a2
+                (motion_point[a, x, 0] + motion[a, x, 0]) * a0
+                + (motion_point[a, x, 1] + motion[a, x, 1]) * a1
+                + (motion_point[a, x, 2] + motion[a, x, 2]) * a2
             )
             for f in range(free):
-                j = by_camera[s, f]
+                j = by_camera[a, s, f]
                 to_point += shared_point[column + f, x] * j
                 to_photo += photo_shared[at + x, first + f] * j
-                to_motion += motion_shared[column + f, x] * j
-            total += (to_point + to_motion) * by_point[s, x]
-            on_point[s, x] = weight[s] * to_point
-            on_photo[s, x] = weight[s] * to_photo
+                to_motion += motion_shared[a, column + f, x] * j
+            total += (to_point + to_motion) * by_point[a, s, x]
+            on_point[i, s, x] = weights[a, s] * to_point
+            on_photo[i, s, x] = weights[a, s] * to_photo
         for f in range(free):
             value = (
-                (shared_point[column + f, 0] + motion_shared[column + f, 0]) * a0
-                + (shared_point[column + f, 1] + motion_shared[column + f, 1]) * a1
-                + (shared_point[column + f, 2] + motion_shared[column + f, 2]) * a2
+                (shared_point[column + f, 0] + motion_shared[a, column + f, 0]) * a0
+                + (shared_point[column + f, 1] + motion_shared[a, column + f, 1]) * a1
+                + (shared_point[column + f, 2] + motion_shared[a, column + f, 2]) * a2
             )
             for g in range(free):
-                value += shared[first + f, first + g] * by_camera[s, g]
-            total += value * by_camera[s, f]
-        computed[s] = total
+                value += shared[first + f, first + g] * by_camera[a, s, g]
+            total += value * by_camera[a, s, f]
+        computed[i, s] = total
 
 
 @kernel
@@ -337,8 +248,8 @@ def observation_statistics(
         np.empty((most * wide, 3)),
     )
     qx, block = np.empty((3, 3)), np.empty((6, 6))
-    own, other = np.empty((6, 3)), np.empty((6, 3))
-    square = np.empty((3, 3))
+    own, other, square = np.empty((1, 6, 3)), np.empty((1, 6, 3)), np.empty((1, 3, 3))
+    flat, stride = inverse.reshape(inverse.size), np.uint64(inverse.shape[1] - skew)
     for j in range(start.shape[0] - 1):
         v, point = six_of(v_inverse, j), three_of(points, j)
         rays = 0
@@ -377,28 +288,29 @@ def observation_statistics(
                     v, by_border[t, f, 0], by_border[t, f, 1], by_border[t, f, 2]
                 )
                 count += 1
-        _photos_of_point(rows, mine[:rays], place, d, u, skew, inverse, with_point, motion_point, motion)
+        photos_of_point(
+            rows, rays, mine, place, d, u, stride, flat, block, own, other, square, with_point,
+            motion_point, motion,
+        )  # fmt: skip
         _shared_of_point(
-            rows, mine[:rays], place, d, u, columns[:count], s, photo_shared, shared, with_point,
+            rows, rays, mine, place, d, u, count, columns, s, photo_shared, shared, with_point,
             motion_point, motion_shared, shared_point,
         )  # fmt: skip
         _point_covariance(rays, count, v, u, motion_point, s, shared_point, qx)
-        out = point_covariance[j]
-        out[0], out[1], out[2], out[3], out[4], out[5] = (
-            qx[0, 0], qx[0, 1], qx[0, 2], qx[1, 1], qx[1, 2], qx[2, 2],
-        )  # fmt: skip
+        set_six(point_covariance, j, (qx[0, 0], qx[0, 1], qx[0, 2], qx[1, 1], qx[1, 2], qx[2, 2]))
         for a in range(rays):
             k, i = mine[a], row[a]
             c = camera[k]
             column = 0
             while free[c] > 0 and columns[column] != first[c]:
                 column += 1
-            own_block(inverse, skew, 6 * place[k], block)
-            _moved(block, d[a], d[a], own, other, square)
+            seen_here = three_of(d, a)
+            own_block(flat, stride, 6 * place[k], block)
+            moved(block, seen_here, seen_here, own, other, 0, square)
             _of_observation(
-                by_point[a], by_camera[a], weights[a], first[c], free[c], 6 * place[k], qx, motion[a],
-                motion_point[a], with_point[a], own, motion_shared[a], shared_point, column,
-                photo_shared, shared, computed[i], on_point[i], on_photo[i],
+                i, a, by_point, by_camera, weights, first[c], free[c], 6 * place[k], qx, motion,
+                motion_point, with_point, own, motion_shared, shared_point, column, photo_shared, shared,
+                computed, on_point, on_photo,
             )  # fmt: skip
             if photo_point.shape[0] > 0:
                 photo_point[i] = with_point[a]
