@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -14,6 +15,7 @@ import scipy.ndimage
 import tifffile
 from run_survey import make, raster, write_tiny
 
+from stereomate.camera.distortion import EbnerDeformation
 from stereomate.cli import main
 from stereomate.coverage.summary import survey_coverage
 from stereomate.dense.epipolar import epipolar_pair
@@ -200,6 +202,52 @@ def test_frame_and_marks_are_in_no_product(
     again[:, here[0], here[1]] = pixels
     difference = again[:, 200:-200, 200:-200].astype(float) - scanned_pixels
     assert np.median(np.abs(difference[:, both])) < 6.0
+
+
+@pytest.mark.slow
+def test_products_of_deformed_film_are_those_of_flat_film(survey: tuple[Path, Path], tmp_path: Path) -> None:
+    """Photographs put out of shape by up to five pixels; the project states how."""
+    flat = survey[0]
+    shutil.copytree(flat.parent, tmp_path / "bent", ignore=shutil.ignore_patterns("ortho*"))
+    twelve = (0.3, -0.2, 0.1, -0.1, 0.2, 0.15, 0.1, -0.15, 0.1, 0.1, 0.1, -0.1)
+    camera = load(flat).survey.photographs[0].camera
+    bent = replace(camera, deformation=EbnerDeformation(10.0, *twelve))
+    at = np.stack(np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5), axis=-1)
+    there, _ = camera.image_from_camera(bent.rays_from_image(at))
+    assert np.abs(there - at).max() > 4.0
+    for path in sorted((tmp_path / "bent").glob("strip*.tif")):
+        photo = tifffile.imread(path)
+        moved = cv2.remap(
+            photo, *(there - 0.5).astype(np.float32).transpose(2, 0, 1), cv2.INTER_CUBIC,
+            borderMode=cv2.BORDER_REFLECT,
+        )  # fmt: skip
+        tifffile.imwrite(path, moved, photometric="rgb")
+    project = tmp_path / "bent" / flat.name
+    stated = ", ".join(f"b{k} = {value}" for k, value in enumerate(twelve, 1))
+    text = project.read_text(encoding="utf-8").replace(
+        "[photos]", f"ebner = {{ spacing_mm = 10.0, {stated} }}\n\n[photos]"
+    )
+    project.write_text(text, encoding="utf-8")
+    products = []
+    for name, path in (("flat", flat), ("bent", project)):
+        make(path, tmp_path / "out" / name, stereo=False, agreement=False)
+        (ortho,) = (tmp_path / "out" / name).glob("ortho*.tif")
+        with rasterio.open(ortho) as file:
+            products.append((file.transform, *raster(ortho)))
+    (one, pixels, valid), (two, again, seen) = products
+    col, row = (round(v) for v in ~one @ (two.c, two.f))
+    top, left = max(row, 0), max(col, 0)
+    height = min(valid.shape[0] - top, seen.shape[0] - (top - row))
+    width = min(valid.shape[1] - left, seen.shape[1] - (left - col))
+    mine = (slice(top, top + height), slice(left, left + width))
+    other = (slice(top - row, top - row + height), slice(left - col, left - col + width))
+    both = valid[mine] & seen[other]
+    assert both.sum() > 0.85 * valid.sum()
+    difference = pixels[0][mine].astype(float) - again[0][other]
+    assert np.median(np.abs(difference[both])) < 4.0
+    # Half a pixel off it would be another picture.
+    shifted = pixels[0][mine][:, 1:].astype(float) - again[0][other][:, :-1]
+    assert np.median(np.abs(difference[both])) < 0.5 * np.median(np.abs(shifted[both[:, 1:] & both[:, :-1]]))
 
 
 def test_frame_is_not_matched(survey: tuple[Path, Path], found: list[dict]) -> None:
