@@ -11,11 +11,12 @@ import copy
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stereomate.block.network_fields import finite, first_twice, own, own_mount, positive, within
 from stereomate.camera.model import Camera
 from stereomate.errors import InputError
 
@@ -81,16 +82,16 @@ class Photographs:
 
     def __post_init__(self) -> None:
         n = len(self.names)
-        _own(self, "camera", np.int64, (n,))
-        _own(self, "centres", np.float64, (n, 3))
-        _own(self, "rotations", np.float64, (n, 3, 3))
+        own(self, "camera", np.int64, (n,))
+        own(self, "centres", np.float64, (n, 3))
+        own(self, "rotations", np.float64, (n, 3, 3))
         if self.fixed is not None:
-            _own(self, "fixed", np.bool_, (n, 6))
-        twice = _first_twice(self.names)
+            own(self, "fixed", np.bool_, (n, 6))
+        twice = first_twice(self.names)
         if twice is not None:
             raise InputError("must not name a photograph twice", field="photographs.names", value=twice)
-        _finite("photographs.centres", self.centres, self.names)
-        _finite("photographs.rotations", self.rotations, self.names)
+        finite("photographs.centres", self.centres, self.names)
+        finite("photographs.rotations", self.rotations, self.names)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,8 +108,8 @@ class Points:
     xyz: Array
 
     def __post_init__(self) -> None:
-        _own(self, "xyz", np.float64, (len(self.names), 3))
-        _finite("points.xyz", self.xyz, self.names)
+        own(self, "xyz", np.float64, (len(self.names), 3))
+        finite("points.xyz", self.xyz, self.names)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,12 +132,12 @@ class ImagePoints:
 
     def __post_init__(self) -> None:
         m = len(self.photo)
-        _own(self, "photo", np.int64, (m,))
-        _own(self, "point", np.int64, (m,))
-        _own(self, "xy", np.float64, (m, 2))
-        _own(self, "sigma", np.float64, (m, 2))
-        _finite("image.xy", self.xy)
-        _positive("image.sigma", self.sigma)
+        own(self, "photo", np.int64, (m,))
+        own(self, "point", np.int64, (m,))
+        own(self, "xy", np.float64, (m, 2))
+        own(self, "sigma", np.float64, (m, 2))
+        finite("image.xy", self.xy)
+        positive("image.sigma", self.sigma)
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,13 +165,13 @@ class Control:
 
     def __post_init__(self) -> None:
         k = len(self.point)
-        _own(self, "point", np.int64, (k,))
-        _own(self, "xyz", np.float64, (k, 3))
-        _own(self, "sigma", np.float64, (k, 3))
+        own(self, "point", np.int64, (k,))
+        own(self, "xyz", np.float64, (k, 3))
+        own(self, "sigma", np.float64, (k, 3))
         object.__setattr__(self, "check", np.zeros(k, np.bool_) if self.check is None else self.check)
-        _own(self, "check", np.bool_, (k,))
+        own(self, "check", np.bool_, (k,))
         if self.covariance is not None:
-            _own(self, "covariance", np.float64, (k, 3, 3))
+            own(self, "covariance", np.float64, (k, 3, 3))
         if not np.all(self.sigma >= 0.0):
             raise InputError("must not be negative", field="control.sigma", value=self.sigma.min())
         if not np.isfinite(self.xyz[np.isfinite(self.sigma)]).all():
@@ -227,26 +228,26 @@ class Positions:
 
     def __post_init__(self) -> None:
         g = len(self.photo)
-        _own(self, "lever_arm_sigma", np.float64, (3,))
+        own(self, "lever_arm_sigma", np.float64, (3,))
         if not (self.lever_arm_sigma >= 0.0).all():
             least = float(self.lever_arm_sigma.min())
             raise InputError("must not be negative", field="positions.lever_arm_sigma", value=least)
         if (self.lever_arm_sigma > 0.0).any() and not (self.lever_arm_sigma > 0.0).all():
             raise InputError("must be positive in all axes or zero in all", field="positions.lever_arm_sigma")
-        _own(self, "photo", np.int64, (g,))
-        _own(self, "xyz", np.float64, (g, 3))
-        _own(self, "sigma", np.float64, (g, 3))
-        _own(self, "lever_arm", np.float64, (g, 3))
+        own(self, "photo", np.int64, (g,))
+        own(self, "xyz", np.float64, (g, 3))
+        own(self, "sigma", np.float64, (g, 3))
+        own(self, "lever_arm", np.float64, (g, 3))
         object.__setattr__(self, "strip", np.zeros(g, np.int64) if self.strip is None else self.strip)
-        _own(self, "strip", np.int64, (g,))
-        _own_mount(self, g)
+        own(self, "strip", np.int64, (g,))
+        own_mount(self, g)
         for name in ("shift_sigma", "drift_sigma"):
-            _own(self, name, np.float64, (3,))
-            _positive(f"positions.{name}", getattr(self, name))
+            own(self, name, np.float64, (3,))
+            positive(f"positions.{name}", getattr(self, name))
         if self.time is not None:
-            _own(self, "time", np.float64, (g,))
-        _positive("positions.sigma", self.sigma)
-        _finite("positions.xyz", self.xyz[np.isfinite(self.sigma)])
+            own(self, "time", np.float64, (g,))
+        positive("positions.sigma", self.sigma)
+        finite("positions.xyz", self.xyz[np.isfinite(self.sigma)])
 
     def strip_name(self, strip: int) -> str:
         """What a strip is called."""
@@ -283,12 +284,12 @@ class Attitudes:
 
     def __post_init__(self) -> None:
         g = len(self.photo)
-        _own(self, "photo", np.int64, (g,))
-        _own(self, "rotations", np.float64, (g, 3, 3))
-        _own(self, "sigma", np.float64, (g, 3))
-        _own_mount(self, g)
-        _positive("attitudes.sigma", self.sigma)
-        _finite("attitudes.rotations", self.rotations)
+        own(self, "photo", np.int64, (g,))
+        own(self, "rotations", np.float64, (g, 3, 3))
+        own(self, "sigma", np.float64, (g, 3))
+        own_mount(self, g)
+        positive("attitudes.sigma", self.sigma)
+        finite("attitudes.rotations", self.rotations)
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,13 +316,13 @@ class Network:
     attitudes: Attitudes | None = None
 
     def __post_init__(self) -> None:
-        twice = _first_twice(tuple(c.camera.name for c in self.cameras))
+        twice = first_twice(tuple(c.camera.name for c in self.cameras))
         if twice is not None:
             raise InputError("must not hold two cameras of one name", field="cameras", value=twice)
         n, p = len(self.photographs.names), len(self.points.names)
-        _within("photographs.camera", self.photographs.camera, len(self.cameras))
-        _within("image.photo", self.image.photo, n)
-        _within("image.point", self.image.point, p)
+        within("photographs.camera", self.photographs.camera, len(self.cameras))
+        within("image.photo", self.image.photo, n)
+        within("image.point", self.image.point, p)
         key = self.image.photo * max(p, 1) + self.image.point
         order = np.argsort(key, kind="stable")
         again = np.flatnonzero(np.diff(key[order]) == 0)
@@ -333,13 +334,13 @@ class Network:
                 field="image",
             )
         if self.control is not None:
-            _within("control.point", self.control.point, p)
+            within("control.point", self.control.point, p)
             if len(np.unique(self.control.point)) < len(self.control.point):
                 raise InputError("must not name a point twice", field="control.point")
         for name in ("positions", "attitudes"):
             value = getattr(self, name)
             if value is not None:
-                _within(f"{name}.photo", value.photo, n)
+                within(f"{name}.photo", value.photo, n)
 
     def moved_to(self, centres: Array, rotations: Array, xyz: Array) -> Network:
         """The same network from other approximate values."""
@@ -352,56 +353,3 @@ class Network:
         object.__setattr__(photographs, "fixed", fixed)
         object.__setattr__(network, "photographs", photographs)
         return network
-
-
-def _own(owner: Any, name: str, dtype: Any, shape: tuple[int, ...]) -> None:
-    """Keep a field as a read-only contiguous array of its own, broadcast to its shape."""
-    field_name = f"{type(owner).__name__.lower()}.{name}"
-    given = np.asarray(getattr(owner, name))
-    if dtype is np.int64 and given.size and not np.issubdtype(given.dtype, np.integer):
-        raise InputError("must be integers", field=field_name, value=str(given.dtype))
-    try:
-        value = np.array(np.broadcast_to(given.astype(dtype), shape), order="C")
-    except ValueError:
-        raise InputError(f"must have shape {shape}", field=field_name, value=given.shape) from None
-    value.flags.writeable = False
-    object.__setattr__(owner, name, value)
-
-
-def _own_mount(owner: Positions | Attitudes, g: int) -> None:
-    """Groups of lever arms and misalignments, numbered from 0; all are one where nothing is said."""
-    if owner.mount is None:
-        object.__setattr__(owner, "mount", np.zeros(g, np.int64))
-    _own(owner, "mount", np.int64, (g,))
-    assert owner.mount is not None
-    if owner.mount.size and owner.mount.min() < 0:
-        field_name = f"{type(owner).__name__.lower()}.mount"
-        raise InputError("must not be negative", field=field_name, value=int(owner.mount.min()))
-
-
-def _finite(name: str, values: Array, names: tuple[str, ...] = ()) -> None:
-    if not values.size:
-        return
-    bad = np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))
-    if len(bad):
-        which = names[bad[0]] if names else int(bad[0])
-        raise InputError("must be finite", field=name, value=which)
-
-
-def _positive(name: str, values: Array) -> None:
-    if not np.all(values > 0.0):
-        raise InputError("must be positive", field=name, value=float(np.nanmin(values)))
-
-
-def _within(name: str, index: Integers, count: int) -> None:
-    if index.size and not (index.min() >= 0 and index.max() < count):
-        raise InputError(f"must be an index below {count}", field=name, value=int(index.max()))
-
-
-def _first_twice(names: tuple[str, ...]) -> str | None:
-    seen: set[str] = set()
-    for name in names:
-        if name in seen:
-            return name
-        seen.add(name)
-    return None
