@@ -79,7 +79,7 @@ def _apart(network: Network, name: str, columns: Integers, own: Mask) -> list[In
 
 def followed(network: Network, layout: Layout, before: State, after: State) -> State:
     """The state after a motion of the block, with navigation where it leaves its residuals as they were."""
-    if not len(layout.names):
+    if network.positions is None and network.attitudes is None:
         return after
     nothing = np.zeros((len(after.centres), 6)), np.zeros_like(after.points)
     there = groups_of(network, layout, before)
