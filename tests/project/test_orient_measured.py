@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -128,6 +129,14 @@ def test_heights_are_compared_with_the_ground(block: MeasuredBlock, tmp_path: Pa
     (line,) = (f for f in record["findings"] if "do not fit the height model" in f)
     # The hills are level on average.
     assert float(line.split(" m (scatter")[0].rsplit(" ", 1)[1]) == pytest.approx(47.0, abs=6.0)
+    assert tomllib.loads((tmp_path / "out" / "oriented.toml").read_text())["terrain"] == {"level": 300.0}
+    # A level that stands in was guessed from the positions: it judges nothing, and makes way.
+    guessed = block.write(tmp_path, positions=shifted, orient=SIGMA, more=more + "stand_in = true\n")
+    record = orient(guessed, tmp_path / "own").record
+    assert not any("do not fit the height model" in f for f in record["findings"])
+    assert tomllib.loads((tmp_path / "own" / "oriented.toml").read_text())["terrain"] == {
+        "file": "surface.tif"
+    }
 
 
 def test_parts_of_single_strips_are_placed_by_positions_and_stated_angles(tmp_path: Path) -> None:

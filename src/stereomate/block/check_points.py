@@ -118,7 +118,11 @@ def _reason(control: Control, names: tuple[str, ...], row: int, difference: Arra
     if not np.isfinite(others).any():
         return ""
     nearest = int(np.nanargmin(others))
-    if others[nearest] < _EXPLAINED * float(np.linalg.norm(np.nan_to_num(difference))):
+    neighbours = np.linalg.norm(control.xyz - control.xyz[nearest], axis=1)
+    neighbours[[row, nearest]] = math.inf
+    # A large error leaves many points near enough: nearer than its own neighbours it must be, too.
+    size = min(float(np.linalg.norm(np.nan_to_num(difference))), float(np.nanmin(neighbours)))
+    if others[nearest] < _EXPLAINED * size:
         return f"its rays meet at {names[control.point[nearest]]}"
     return ""
 

@@ -81,7 +81,8 @@ def _with_heights(project: Path, out: Path, settings: Settings, fresh: bool, as_
     from stereomate.project.reading import read_project_file
 
     oriented = _oriented(project, out, settings, fresh, as_json)
-    if read_project_file(project).terrain is not None:
+    file = read_project_file(project)
+    if file.has_ground or (file.terrain is not None and oriented == project):
         return oriented
     from stereomate.errors import NotDeterminedError
     from stereomate.project.own_surface import make_own_surface, words

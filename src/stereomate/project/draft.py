@@ -146,6 +146,7 @@ def _orientation_lines(found: Findings, tables: list[tuple[str, str]], to_do: li
         tables.append((EXIF_TABLE, _exif_table(found.photographs)))
         if any(photo.tags.gimbal is None for photo in found.photographs):
             to_do.append(f"{EXIF_TABLE}: some photographs carry no angles; fill in roll, pitch, yaw")
+        to_do.append("photos.orientation: of EXIF, good to metres; stereomate orient finds a better one")
         return [
             f"orientation = {_quoted(EXIF_TABLE)}   # from EXIF and XMP: good to metres",
             'crs = "EPSG:4326"',
@@ -213,6 +214,7 @@ def _terrain_section(found: Findings, to_do: list[str]) -> str:
             "[terrain]\n"
             '# file = "heights.tif"               # a height model; without one, level ground:\n'
             f"level = {level:.1f}                         # altitude minus height above take-off, mean\n"
+            "stand_in = true                      # until stereomate orient and run make their own surface\n"
         )
     to_do.append("terrain.file: no height model was found")
     return '# [terrain]\n# file = "heights.tif"\n'

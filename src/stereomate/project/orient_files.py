@@ -82,7 +82,7 @@ def write_results(
     """Write everything but the report and adjustment.json; what is found out here is added to `record`."""
     written = []
     surface = None
-    if inputs.file.terrain is None:
+    if not inputs.file.has_ground:
         surface = write_tie_surface(out, inputs, adjusted)
     if surface is not None:
         record["findings"].append(surface[1])

@@ -56,7 +56,8 @@ def height_findings(inputs: OrientInputs, measured: Measured) -> list[str]:
 
 
 def _terrain(inputs: OrientInputs) -> HeightModel | None:
-    if inputs.file.terrain is None or inputs.tangent is None:
+    # A level that stands in was made of the positions themselves.
+    if not inputs.file.has_ground or inputs.tangent is None:
         return None
     known = inputs.positions.tangent[np.isfinite(inputs.positions.tangent).all(axis=1)]
     path = inputs.path

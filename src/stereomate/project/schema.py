@@ -111,6 +111,8 @@ class TerrainSection(Section):
 
     file: str | None = None
     level: Finite | None = None
+    # The level is a guess (of init): a surface of the oriented photographs takes its place.
+    stand_in: bool = False
     crs: str | None = None
     heights: str | None = None
     unit: Literal["metre", "foot", "us-survey-foot"] | None = None
@@ -121,6 +123,8 @@ class TerrainSection(Section):
     @model_validator(mode="after")
     def _file_or_level(self) -> TerrainSection:
         exactly_one(self, "file", "level")
+        if self.stand_in and self.level is None:
+            raise ValueError("stand_in has a meaning with level only")
         if self.level is not None:
             for name in ("crs", "heights", "unit", "nodata"):
                 if name in self.model_fields_set:
@@ -246,6 +250,11 @@ class ProjectFile(Section):
     orient: OrientSection = OrientSection()
     surface: SurfaceSection = SurfaceSection()
     products: ProductsSection = ProductsSection()
+
+    @property
+    def has_ground(self) -> bool:
+        """Whether the ground is stated: a height model, or a level that is meant."""
+        return self.terrain is not None and not self.terrain.stand_in
 
     @model_validator(mode="after")
     def _a_comparison_has_an_orientation(self) -> ProjectFile:
