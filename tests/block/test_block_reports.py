@@ -144,8 +144,16 @@ def corrected_residuals(network, camera, aspect, model, centres, rotations, poin
 
 
 @pytest.mark.real
-@pytest.mark.parametrize("model", [1, 3, 4])
-def test_dbat_backward_model_to_the_printed_digits(data_folder, model):
+@pytest.mark.parametrize(
+    ("model", "names"),
+    [
+        (1, ("dbatreport-model1", "dbatreport-model2")),
+        (3, ("dbatreport-model3", "dbatreport")),
+        (4, ("dbatreport-model4",)),
+    ],
+    ids=["1 and 2", "3 and 5", "4"],
+)
+def test_dbat_backward_model_to_the_printed_digits(data_folder, model, names):
     """Its backward models make residuals of corrected coordinates small, errors are in the measured ones.
 
     So the rigorous adjustment is another one, near it. The same camera with its residuals, in steps of Gauss
@@ -153,7 +161,7 @@ def test_dbat_backward_model_to_the_printed_digits(data_folder, model):
     """
     folder = data_folder / "dbat_camcal"
     export = read_export(folder / "pmexports/camcal-pmexport.txt")
-    report = Report(folder / f"dbatexports/camcal-dbatreport-model{model}.txt")
+    report, *others = (Report(folder / f"dbatexports/camcal-{name}.txt") for name in names)
     pitch = 5.43764 / 1704
     lens = BrownDistortion(convention="australis", direction="measured_to_ideal", units="mm")
     camera = Camera.from_pixel_pitch("c4040z", export.size, 7.5, pitch, (0.0, 0.0), lens)
@@ -178,8 +186,8 @@ def test_dbat_backward_model_to_the_printed_digits(data_folder, model):
             abs(value - report.number(label, 0, "Value:")[0])
             < near * report.number(label, 0, "Deviation:")[0]
         ), label
-    names = list(camera.parameter_names)
-    at = [*(names.index(name) for name in free), *range(len(names), len(names) + len(labels) - 8)]
+    own = list(camera.parameter_names)
+    at = [*(own.index(name) for name in free), *range(len(own), len(own) + len(labels) - 8)]
     tied = np.setdiff1d(np.flatnonzero(np.isfinite(result.points[:, 0])), network.control.point)
     values = np.append(np.array(result.cameras[0].parameters), rigorous[8:])
     state = result.centres, result.rotations, result.points, values
@@ -192,7 +200,7 @@ def test_dbat_backward_model_to_the_printed_digits(data_folder, model):
         return centres + photos[:, :3], rotation_from_vector(photos[:, 3:]) @ rotations, points, values
 
     def residuals(centres, rotations, points, values):
-        lens, aspect = camera.with_parameters(values[: len(names)]), float(values[len(names) :].sum())
+        lens, aspect = camera.with_parameters(values[: len(own)]), float(values[len(own) :].sum())
         return corrected_residuals(network, lens, aspect, model, centres, rotations, points)
 
     size = 6 * len(state[0]) + 3 * len(tied) + len(at)
@@ -210,8 +218,9 @@ def test_dbat_backward_model_to_the_printed_digits(data_folder, model):
     last = residuals(*state)
     sigma0 = math.sqrt(float(last @ last) / (len(last) - size))
     found = as_printed(state[3][at])
-    reports = [(report, found)]
+    reports = [(one, found) for one in (report, *others)]
     if model == 3:
+        reports.append((Report(folder / "camcaldemo/result/report.txt"), found))
         fifth = Report(folder / "dbatexports/camcal-dbatreport-model5.txt")
         reports.append((fifth, [found[0], found[1] * (1.0 + found[8]), *found[2:]]))
     for printed, values in reports:
@@ -221,12 +230,16 @@ def test_dbat_backward_model_to_the_printed_digits(data_folder, model):
 
 
 @pytest.mark.real
+@pytest.mark.parametrize("start", ["no", "with"])
 @pytest.mark.parametrize("kind", ["fixed", "weighted"])
-def test_dbat_with_a_known_camera_to_the_printed_digits(data_folder, kind):
-    """Its backward model with a known camera is a pinhole's adjustment of corrected coordinates."""
+def test_dbat_with_a_known_camera_to_the_printed_digits(data_folder, kind, start):
+    """Its backward model with a known camera is a pinhole's adjustment of corrected coordinates.
+
+    Its runs with and without an orientation of the model to start from end at the same place.
+    """
     folder = data_folder / "dbat_camcal/prague2016_cam"
-    export = read_export(folder / f"pmexports/{kind}-no-orient-pmexport.txt")
-    report = Report(folder / f"dbatexports/{kind}-no-orient-dbatreport.txt")
+    export = read_export(folder / f"pmexports/{kind}-{start}-orient-pmexport.txt")
+    report = Report(folder / f"dbatexports/{kind}-{start}-orient-dbatreport.txt")
     c, px, py, width, height, k1, k2, k3, p1, p2 = export.interior
     pitch = width / 2272
     lens = BrownDistortion(
