@@ -23,6 +23,7 @@ from stereomate.project.orient_inputs import OrientInputs
 _METHODS: Final[tuple[Method, ...]] = ("P1", "M2", "M3")
 _C: Final = "principal_distance_mm"
 _DIGITS: Final = 4
+_NO_HEIGHTS: Final = "not determined: no control point with a height took part"
 
 
 def comparisons(inputs: OrientInputs, adjusted: Adjusted) -> dict[str, Any]:
@@ -133,9 +134,11 @@ def _in_grid(result: BlockAdjustment, tangent: TangentFrame, frame: MapFrame) ->
     rows = []
     own = {n: s for entry in result.network.cameras for n, s in entry.free.items() if n != _C}
     for free in ({}, {_C: math.inf}):
-        if free and not _holds_heights(result):
-            continue
+        undetermined = bool(free) and not _holds_heights(result)
         for method in _METHODS:
+            if undetermined:
+                rows.append({"method": method, "principal_distance": _word(free), "failed": _NO_HEIGHTS})
+                continue
             try:
                 found = compare_in_grid(result, tangent, frame, method, {**own, **free})
             except StereomateError as error:
