@@ -2,7 +2,8 @@
 
 Kernels live in files named ``kernels.py`` or in folders named ``kernels``: arrays in, arrays out. They run
 without the GIL, never start threads of their own and use no fast-math, so that results do not depend on
-the number of threads. With STEREOMATE_BOUNDSCHECK=1 they are compiled with bounds checks.
+the number of threads. The block's may fuse a product and a sum, as its LAPACK does: their last digits depend
+on the processor. With STEREOMATE_BOUNDSCHECK=1 they are compiled with bounds checks.
 
 numba's disk cache does not see an edited callee in another file, and reuses code compiled without bounds
 checks; so the cache folder of a kernel is named after a hash of its file, of every file that one imports
@@ -41,9 +42,24 @@ def kernel(function: F) -> F:
     return _compiled(function, forced=False)
 
 
-def _compiled(function: F, forced: bool) -> F:
+def fused_kernel(function: F) -> F:
+    """As `kernel`; a product and a sum may be rounded once."""
+    return _compiled(function, forced=False, fused=True)
+
+
+def fused_inline_kernel(function: F) -> F:
+    """As `inline_kernel`; a product and a sum may be rounded once."""
+    return _compiled(function, forced=True, fused=True)
+
+
+def _compiled(function: F, forced: bool, fused: bool = False) -> F:
     compile_it = numba.njit(
-        nogil=True, cache=True, error_model="numpy", boundscheck=BOUNDSCHECK, forceinline=forced
+        nogil=True,
+        cache=True,
+        error_model="numpy",
+        boundscheck=BOUNDSCHECK,
+        forceinline=forced,
+        fastmath={"contract"} if fused else False,
     )
     if "NUMBA_CACHE_DIR" in os.environ:
         return cast(F, compile_it(function))

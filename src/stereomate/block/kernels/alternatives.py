@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from stereomate.block.kernels.projection import lens_of, observe, observe_general
 from stereomate.block.kernels.small import invert_symmetric, nine_of, symmetric_vector, three_of
 from stereomate.camera.kernels.layout import BROWN
-from stereomate.jit import inline_kernel, kernel
+from stereomate.jit import fused_inline_kernel as inline_kernel
+from stereomate.jit import fused_kernel as kernel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stereomate.jit import inline_kernel, kernel
+from stereomate.jit import fused_inline_kernel as inline_kernel
+from stereomate.jit import fused_kernel as kernel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -17,7 +17,7 @@ from stereomate.block.kernels.small import (
     symmetric_vector,
     times_symmetric,
 )
-from stereomate.jit import inline_kernel
+from stereomate.jit import fused_inline_kernel as inline_kernel
 
 # Unsigned indices need no look at whether they count from the end.
 U1, U2, U3, U4, U5 = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4), np.uint64(5)

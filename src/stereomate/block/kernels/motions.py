@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from stereomate.block.kernels.blocks import own_block
 from stereomate.block.kernels.small import Three, three_of
-from stereomate.jit import inline_kernel
+from stereomate.jit import fused_inline_kernel as inline_kernel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -32,7 +32,8 @@ from stereomate.block.kernels.small import (
     three_of,
 )
 from stereomate.camera.kernels.layout import BROWN
-from stereomate.jit import inline_kernel, kernel
+from stereomate.jit import fused_inline_kernel as inline_kernel
+from stereomate.jit import fused_kernel as kernel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereomate.block.kernels.small import seen_at, six_of, symmetric_vector, three_of
-from stereomate.jit import kernel
+from stereomate.jit import fused_kernel as kernel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -28,7 +28,8 @@ from stereomate.camera.kernels.layout import (
     E,
     P,
 )
-from stereomate.jit import inline_kernel, kernel
+from stereomate.jit import fused_inline_kernel as inline_kernel
+from stereomate.jit import fused_kernel as kernel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -16,7 +16,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from stereomate.jit import inline_kernel
+from stereomate.jit import fused_inline_kernel as inline_kernel
 
 Array = NDArray[np.float64]
 Nine = tuple[float, float, float, float, float, float, float, float, float]
