@@ -3,7 +3,7 @@
 Begins from a robust solution (Huber's loss). In each pass the observation of the largest standardized
 residual of every point is taken out, as far as it is over the limit and among the large ones of the block: a
 gross error spreads over its neighbours, so these wait. At the end observations that agree with the others
-again come back, once. An observation that the block cannot be determined without stays in, and is named.
+again come back, twice at most. An observation that the block cannot be determined without stays in, and is named.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ Mask = NDArray[np.bool_]
 # In one pass go those over this part of the largest standardized residual.
 _PART: Final = 0.4
 _PASSES: Final = 60
+_RETURNS: Final = 2
 # Redundancy number from which control, positions and attitudes are tested: below it an error would have to be
 # 130 standard deviations to be seen. Up to ten times of it only twice the limit counts: such an observation
 # holds the block, and small errors of others that nobody modelled show in it first.
@@ -66,7 +67,8 @@ class _Search:
     def __init__(self, network: Network, options: BlockOptions, out: Mapping[Key, float]) -> None:
         self.network, self.options = network, options
         self.used = np.ones(len(network.image.photo), np.bool_)
-        self.back: Mask = np.zeros_like(self.used)
+        # How often each has come back.
+        self.back: NDArray[np.int8] = np.zeros(len(self.used), np.int8)
         self.out: dict[Key, float] = dict(out)
         self.limit = float(norm.isf(options.tests.alpha / 2.0))
         control = network.control
@@ -76,7 +78,7 @@ class _Search:
         self.needed_rows: Mask = np.zeros_like(self.used)
         self.needed: set[Key] = set()
         self.one_by_one = False
-        self.keys_back: set[Key] = set()
+        self.keys_back: dict[Key, int] = {}
         self.explained: set[int] = set()
         self.in_doubt: set[int] = set()
 
@@ -173,17 +175,20 @@ class _Search:
         return result
 
     def restore(self, solution: Solution, statistics: Statistics, scale: float) -> bool:
-        """Bring back observations that agree with what the others say; each once."""
+        """Bring back observations that agree with what the others say; each twice at most.
+
+        Once would lose those that came back early and had to go again for an error that was found later.
+        """
         size = self._image_sizes(statistics, scale)
-        again = ~self.used & ~self.back & (size <= self.limit)
+        again = ~self.used & (self.back < _RETURNS) & (size <= self.limit)
         self.used |= again
-        self.back |= again
-        keys = [key for key in self.out if key not in self.keys_back]
+        self.back += again
+        keys = [key for key in self.out if self.keys_back.get(key, 0) < _RETURNS]
         sizes = predicted_sizes(self.network, solution, statistics, keys)
         agreeing = [key for key, value in sizes.items() if value <= self.limit * max(scale, 1.0)]
         for key in agreeing:
             del self.out[key]
-        self.keys_back.update(agreeing)
+        self.keys_back.update({key: self.keys_back.get(key, 0) + 1 for key in agreeing})
         return bool(again.any()) or bool(agreeing)
 
     def explain(self, solution: Solution, statistics: Statistics, scale: float) -> bool:
@@ -217,7 +222,7 @@ class _Search:
         before = self.used.copy(), set(self.out)
         solved = np.isin(network.image.point, found.points)
         self.used[solved] = ~found.rays[solved]
-        self.back |= found.rays
+        self.back[found.rays] = _RETURNS
         if control is not None:
             of = np.isin(control.point, found.points)
             for row, axis in np.argwhere(of[:, None] & (all_axes | found.axes)).tolist():
@@ -225,7 +230,7 @@ class _Search:
                 if not found.axes[row, axis]:
                     del self.out[key]
                 else:
-                    self.keys_back.add(key)
+                    self.keys_back[key] = _RETURNS
                     self.out.setdefault(key, math.nan)
         self.in_doubt.update(found.points[found.in_doubt].tolist())
         return not np.array_equal(self.used, before[0]) or set(self.out) != before[1]
