@@ -3,7 +3,7 @@
 Begins from a robust solution (Huber's loss). In each pass the observation of the largest standardized
 residual of every point is taken out, as far as it is over the limit and among the large ones of the block: a
 gross error spreads over its neighbours, so these wait. At the end observations that agree with the others
-again come back, twice at most. An observation that the block cannot be determined without stays in, and is named.
+again come back, twice at most. An observation that the block is not determined without stays in, named.
 """
 
 from __future__ import annotations
