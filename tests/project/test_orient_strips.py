@@ -14,6 +14,7 @@ from stereomate.coverage.strips import flight_strips
 from stereomate.errors import ProjectError
 from stereomate.project.orient import orient
 from stereomate.project.orient_report import write_orient_report
+from stereomate.project.orient_strips_record import strip_findings
 
 SIGMA = "position_sigma_m = [0.05, 0.05, 0.05]\n"
 
@@ -54,10 +55,21 @@ def test_a_weak_block_says_which_shift_it_could_not_have_seen(two: MeasuredBlock
     assert not second["significant"]
     assert 1.5 < first["detectable_m"][2] < 4.0
     assert every["detectable_m"] == [None, None, None]
-    (line,) = [f for f in record["findings"] if "could not be seen" in f]
+    (line,) = [f for f in record["findings"] if "would be seen only from" in f]
     assert f"strip 2 {', '.join(f'{v:.2f}' for v in second['detectable_m'])}" in line
+    assert "not at all" not in line
+    # Of strips that nothing else holds, no size in metres: it would be larger than the flying height.
+    record["navigation"]["shift_tests"][0]["detectable_m"] = [1.25, 935.4, None]
+    record["navigation"]["shift_tests"][1]["detectable_m"] = [700.0, 935.4, None]
+    (line,) = strip_findings(record["navigation"], [0.05, 0.05, 0.05])
+    assert "strip 1 1.25, not at all, not at all; strip 2 not at all; not at all: not even 100" in line
     page = (tmp_path / "out" / "orient.html").read_text(encoding="utf-8")
     assert "least that is seen" in page
+    rows = {row["name"]: row["detectable_m"] for row in record["positions"]["residuals"]}
+    table = pyarrow.parquet.read_table(tmp_path / "out" / "observations.parquet").to_pydict()
+    for name, axis, value in zip(table["of"], table["axis"], table["detectable"], strict=True):
+        assert rows[name]["xyz".index(axis)] == pytest.approx(value, rel=1e-9)
+    assert "".join(f"<td>{v:.3f}</td>" for v in rows["s1_0"]) in page
 
 
 def test_two_strips_that_contradict_each_other_are_both_in_doubt(two: MeasuredBlock, tmp_path: Path) -> None:
@@ -187,6 +199,10 @@ vertical_m = 0.001
     page = (tmp_path / "out" / "orient.html").read_text(encoding="utf-8")
     assert "Asked: vertical 0.001 m" in page
     assert "NOT met" in page
+    control = result.record["control"]["control"]["points"][0]
+    own = [listed["detectable"][k] for k, name in enumerate(listed["of"]) if name == control["name"]]
+    assert control["detectable_m"] == pytest.approx(own, rel=1e-9)
+    assert "".join(f"<td>{v:.3f}</td>" for v in (*control["sigma_m"], *control["detectable_m"])) in page
     (boresight,) = [
         entry for entry in result.record["navigation"]["unknowns"] if entry["what"] == "boresight"
     ]

@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 _ADJUSTMENT = "adjustment.json"
 # The orientation that a run reads is the adjusted one as far as a table writes it.
 _SAME_M = 0.02
+_MDE = "MDE: minimal detectable error of the observation, by the power of the tests; -: not controlled."
 
 
 def adjustment_of(project: Project) -> dict[str, Any] | None:
@@ -158,16 +159,22 @@ def block_pictures(record: Mapping[str, Any], ties: Array | None = None) -> tupl
 
 
 def _residual_table(record: Mapping[str, Any]) -> Table:
-    rows = [
-        (f"position of {entry['name']}", *(number_text(v, "{:+.3f}") for v in entry["residual_m"]))
-        for entry in (record["positions"] or {}).get("residuals", [])
+    entries = [
+        (f"position of {entry['name']}", entry) for entry in (record["positions"] or {}).get("residuals", [])
     ]
     for kind, values in (record["control"] or {}).items():
-        rows += [
-            (f"{kind} point {point['name']}", *(number_text(v, "{:+.3f}") for v in point["residual_m"]))
-            for point in values["points"]
-        ]
-    return Table(("given minus adjusted, m", "east", "north", "up"), tuple(rows))
+        entries += [(f"{kind} point {point['name']}", point) for point in values["points"]]
+    rows = tuple(
+        (name, *(number_text(v, "{:+.3f}") for v in entry["residual_m"]), *_detectable(entry))
+        for name, entry in entries
+    )
+    headings = ("given minus adjusted, m", "east", "north", "up", "MDE east, m", "MDE north", "MDE up")
+    return Table(headings, rows, _MDE)
+
+
+def _detectable(entry: Mapping[str, Any]) -> tuple[str, ...]:
+    """Minimal detectable errors; records of earlier versions have none."""
+    return tuple(number_text(v, "{:.3f}") for v in entry.get("detectable_m") or [None] * 3)
 
 
 def _array(rows: Any) -> Array:
@@ -285,13 +292,18 @@ def control_sections(record: Mapping[str, Any]) -> list[Section]:
                 point["name"] + (" *" if point.get("apart") else ""),
                 *(number_text(v, "{:+.3f}") for v in point["residual_m"]),
                 *(number_text(v, "{:.3f}") for v in point["sigma_m"]),
+                *(_detectable(point) if kind == "control" else ()),
                 str(point["rays"]),
             )
             for point in values["points"]
         ]
-        rows.append(("rms", *(number_text(v, "{:.3f}") for v in values["rms_m"]), "", "", "", ""))
-        headings = ("point", "dx m", "dy m", "dz m", "σx m", "σy m", "σz m", "rays")
+        sizes = ("MDE x m", "MDE y m", "MDE z m") if kind == "control" else ()
+        headings = ("point", "dx m", "dy m", "dz m", "σx m", "σy m", "σz m", *sizes, "rays")
+        rms = [number_text(v, "{:.3f}") for v in values["rms_m"]]
+        rows.append(("rms", *rms, *[""] * (len(headings) - 4)))
         words = "Given minus adjusted, in the tangent frame."
+        if kind == "control":
+            words += f" {_MDE}"
         if kind == "check":
             words += " Check points took no part in the adjustment."
         if values.get("apart"):

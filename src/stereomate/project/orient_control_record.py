@@ -91,6 +91,7 @@ def _control_point(
         "standard_deviation_m": None if sigma is None else numbers(sigma[point]),
         "standardized": None if part is None else numbers(part.standardized[k]),
         "redundancy": None if part is None else numbers(part.redundancy[k]),
+        "detectable_m": None if part is None else numbers(part.minimal_detectable[k]),
         "rays": int(np.count_nonzero(result.network.image.point[result.used] == point)),
     }
 

@@ -280,7 +280,8 @@ def _positions(inputs: OrientInputs, adjusted: Adjusted) -> dict[str, Any] | Non
         "mean_m": numbers(np.nanmean(part.residuals, axis=0)),
         "residuals": [
             {"name": names[photo], "residual_m": numbers(part.residuals[k]),
-             "standardized": numbers(part.standardized[k]), "redundancy": numbers(part.redundancy[k])}
+             "standardized": numbers(part.standardized[k]), "redundancy": numbers(part.redundancy[k]),
+             "detectable_m": numbers(part.minimal_detectable[k])}
             for k, photo in enumerate(observed.photo.tolist())
         ],
     }  # fmt: skip

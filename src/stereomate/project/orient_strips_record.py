@@ -23,6 +23,8 @@ Integers = NDArray[np.int64]
 
 # A shift that could not be seen is worth a word from so many standard deviations of a position on.
 _WEAK: Final = 10.0
+# From so many on it is as good as not seen.
+_NEVER: Final = 100.0
 
 
 def strips_record(
@@ -187,11 +189,15 @@ def _unseen(record: dict[str, Any], sigma_m: Sequence[float]) -> list[str]:
             continue
         sizes = test["detectable_m"]
         if any(v is None or v > _WEAK * s for v, s in zip(sizes, sigma_m, strict=True)):
-            words = ", ".join("any" if v is None else f"{v:.2f}" for v in sizes)
-            weak.append(f"strip {test['strip']} {words}")
+            never = [v is None or v > _NEVER * s for v, s in zip(sizes, sigma_m, strict=True)]
+            words = ["not at all" if no else f"{v:.2f}" for v, no in zip(sizes, never, strict=True)]
+            weak.append(f"strip {test['strip']} {'not at all' if all(never) else ', '.join(words)}")
     if not weak:
         return []
-    return [
-        "a weak block: a shift of the positions of one strip could not be seen under (east, north, up, m): "
-        + "; ".join(weak)
-    ]
+    text = (
+        "a weak block: a shift of the positions of one strip would be seen only from these sizes on (east, "
+        f"north, up, m): {'; '.join(weak)}"
+    )
+    if "not at all" in text:
+        text += f"; not at all: not even {_NEVER:.0f} standard deviations of a position would be"
+    return [text]
