@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stereomate.block.growing import model_adjuster
 from stereomate.block.joining import join
 from stereomate.block.models import Adjuster, BlockImages, JoiningOptions, Model, PairPose
 from stereomate.block.start_datum import Datum, Places, find_datum
@@ -141,7 +142,7 @@ def find_start(
     positions, control : optional
         What determines the datum; control is preferred where it does.
     adjuster : callable, optional
-        Makes what adjusts a model while it grows.
+        Makes what adjusts a model while it grows; `growing.model_adjuster` if None.
     options, progress : optional
         Of `join`.
 
@@ -151,7 +152,7 @@ def find_start(
         If no pair gives a model to begin with.
     """
     images, rows = block_images(points, cameras)
-    make = adjuster or _no_adjuster
+    make = adjuster or model_adjuster
     joining = join(images, pairs, make(images), options, progress)
     if not joining.models:
         raise NotDeterminedError(
@@ -163,10 +164,6 @@ def find_start(
     for model in joining.models:
         parts.append(_placed(model, images, rows, len(points), cameras, positions, control))
     return Start(tuple(parts), joining.reasons)
-
-
-def _no_adjuster(images: BlockImages) -> Adjuster:
-    return lambda model: None
 
 
 def _placed(
