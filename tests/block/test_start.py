@@ -16,6 +16,7 @@ from stereomate.block.start_pairs import Approximation, PairOptions, select_pair
 from stereomate.camera.model import Camera
 from stereomate.errors import NotDeterminedError
 from stereomate.geometry.rotations import rotation_angle, rotation_from_opk, rotation_from_vector
+from stereomate.geometry.similarity import estimate_space_transform
 from stereomate.measurement.tracks import TiePoints
 from stereomate.relative.pair import RelativePose
 
@@ -100,6 +101,17 @@ def test_joined_from_pairs_and_placed_by_positions(truth: Truth) -> None:
     assert max(turns) < 0.01
     known = np.isfinite(part.points[:, 0])
     assert known.mean() > 0.95
+
+
+def test_a_growing_block_does_not_drift() -> None:
+    """Adjusted while it grows it keeps its form; by resection and intersection alone it bends."""
+    truth = block(per_strip=8, noise=2.0, count=500, seed=1)
+    worst = []
+    for adjuster in (None, lambda images: lambda model: None):
+        (part,) = find_start(truth.ties, cameras(truth), truth.pairs, adjuster=adjuster).parts
+        found = estimate_space_transform(part.centres[part.photos], truth.centres[part.photos])
+        worst.append(np.abs(found.residuals).max())
+    assert worst[0] < 0.5 * worst[1]
 
 
 def test_gross_errors_are_left_out_on_the_way(truth: Truth) -> None:
