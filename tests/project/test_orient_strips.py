@@ -47,6 +47,7 @@ def standardized(block: MeasuredBlock, record: dict[str, Any]) -> np.ndarray:
     return (found - block.centres[order]) / sigma
 
 
+@pytest.mark.slow
 def test_a_weak_block_says_which_shift_it_could_not_have_seen(two: MeasuredBlock, tmp_path: Path) -> None:
     """Two strips without control: a metre of height of one of them turns the block a little, no more."""
     record = oriented(two, tmp_path, (0.0, 0.0, 1.0), 1)
@@ -72,6 +73,7 @@ def test_a_weak_block_says_which_shift_it_could_not_have_seen(two: MeasuredBlock
     assert "".join(f"<td>{v:.3f}</td>" for v in rows["s1_0"]) in page
 
 
+@pytest.mark.slow
 def test_two_strips_that_contradict_each_other_are_both_in_doubt(two: MeasuredBlock, tmp_path: Path) -> None:
     """Three metres along the flight: the one strip, the other, or the camera: they fly there and back."""
     record = oriented(two, tmp_path, (3.0, 0.0, 0.0), 1)
@@ -83,6 +85,7 @@ def test_two_strips_that_contradict_each_other_are_both_in_doubt(two: MeasuredBl
     assert 0.5 < record["photographs"][0]["standard_deviation_m"][0] < 4.0
 
 
+@pytest.mark.slow
 def test_a_shifted_strip_is_found_named_and_taken_out_of_the_datum(
     four: MeasuredBlock, tmp_path: Path
 ) -> None:
@@ -97,6 +100,7 @@ def test_a_shifted_strip_is_found_named_and_taken_out_of_the_datum(
     assert (unknown["what"], unknown["significant"]) == ("strip 2: shift", True)
 
 
+@pytest.mark.slow
 def test_shifts_and_drifts_with_priors_and_misalignment_are_found_beside_each_other(
     four: MeasuredBlock, tmp_path: Path
 ) -> None:
